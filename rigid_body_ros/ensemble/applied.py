@@ -20,8 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import COLUMNS, Floats, ROWS, symmetric
+from rigid_body_ros.common.arrays import COLUMNS, Floats, Ints, ROWS, symmetric
 from rigid_body_ros.engine.elementary import exponentials
 from rigid_body_ros.ensemble.dispersions import ATTITUDE, INERTIA
 from rigid_body_ros.mechanics import so3
@@ -67,7 +66,7 @@ class Applied:
 
     """
 
-    runs: NDArray[np.int64]
+    runs: Ints
     bodies: RigidBodies
     starts: States
     torque_gain: Floats
@@ -87,7 +86,7 @@ class Applied:
                    *_fields(problem.fields, {}, 1))
 
     @classmethod
-    def with_values(cls, problem: Problem, runs: NDArray[np.int64], values: Mapping[str, Floats],
+    def with_values(cls, problem: Problem, runs: Ints, values: Mapping[str, Floats],
                     of_fields: Sequence[str]) -> Applied:
         """
         Return the parameters of some runs of a problem.

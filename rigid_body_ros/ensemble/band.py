@@ -24,8 +24,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.ensemble.applied import Applied, components
 from rigid_body_ros.ensemble.dispersions import ATTITUDE
 from rigid_body_ros.ensemble.runs import Ensemble
@@ -175,7 +174,7 @@ def band_of(ensemble: Ensemble) -> Band:
     return replace(band, spread=band.spread[:1 + np.append(correct, False)[1:].argmin()])
 
 
-def _linear(ensemble: Ensemble, numbers: Floats, times_ns: NDArray[np.int64]) -> Band:
+def _linear(ensemble: Ensemble, numbers: Floats, times_ns: Ints) -> Band:
     """Return the linear band around the motion of a run that draws `numbers`, shape (p,)."""
     _, factor = ensemble.moments
     applied = ensemble.with_numbers(np.vstack([numbers, numbers + factor.T, numbers - factor.T]))

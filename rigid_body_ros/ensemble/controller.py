@@ -39,8 +39,7 @@ import sys
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.ensemble.reach import FARTHEST
 from rigid_body_ros.mechanics.actuator import Actuator
@@ -171,7 +170,7 @@ class Controller:
                                   f'{_described(error)}') from error
 
 
-def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.int64],
+def closed_loop(problem: Problem, controller: Controller, times_ns: Ints,
                 actuated: Actuated) -> tuple[Floats, TorqueLog]:
     """
     Propagate a motion with a controller in the loop.
@@ -299,7 +298,7 @@ class _Turned:
                              'controller')
 
 
-def _calls(apply: Callable[..., object], times_ns: NDArray[np.int64],
+def _calls(apply: Callable[..., object], times_ns: Ints,
            *columns: Iterable[Any]) -> Iterator[_Input]:
     """
     Generate the inputs of a source, one for each row.

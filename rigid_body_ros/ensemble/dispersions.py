@@ -31,8 +31,7 @@ from typing import TYPE_CHECKING
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.errors import InputError, located, quoted
 from rigid_body_ros.inference.noise import with_bound
 from rigid_body_ros.mechanics import so3
@@ -113,7 +112,7 @@ class Dispersion:
     bounds: tuple[float, ...]
     relative: bool = False
 
-    def draw(self, seed: int, runs: NDArray[np.int64]) -> Floats:
+    def draw(self, seed: int, runs: Ints) -> Floats:
         """
         Draw the numbers for the given runs.
 
@@ -168,7 +167,7 @@ class Fitted:
         """Return a mapping from scene keys to estimates, with the attitude as a quaternion."""
         return {key: float(column[0]) for key, column in self.values(self.mean[None]).items()}
 
-    def draw(self, seed: int, runs: NDArray[np.int64]) -> dict[str, Floats]:
+    def draw(self, seed: int, runs: Ints) -> dict[str, Floats]:
         """Return values drawn for some runs, shape (n,), for each of the keys of `nominal`."""
         numbers = normals(seed, runs, 'fitted', len(self.mean))
         changes = np.zeros_like(numbers)
@@ -204,8 +203,7 @@ class Fitted:
         return values
 
 
-def draws(dispersions: Sequence[Dispersion], seed: int,
-          runs: NDArray[np.int64]) -> dict[str, Floats]:
+def draws(dispersions: Sequence[Dispersion], seed: int, runs: Ints) -> dict[str, Floats]:
     """
     Draw the numbers of all keys for the given runs.
 
@@ -236,7 +234,7 @@ def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float],
     return values
 
 
-def uniforms(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats:
+def uniforms(seed: int, runs: Ints, key: str, count: int) -> Floats:
     """
     Return uniform random numbers for each run, strictly between 0 and 1.
 
@@ -270,7 +268,7 @@ def uniforms(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats
     return ((chosen >> np.uint64(12)).astype(float) + 0.5) * 2.0 ** -52
 
 
-def normals(seed: int, runs: NDArray[np.int64], key: str, count: int) -> Floats:
+def normals(seed: int, runs: Ints, key: str, count: int) -> Floats:
     """Return standard normal random numbers for each run; see `uniforms` for the arguments."""
     from scipy.special import ndtri  # slow to import
     return np.asarray(ndtri(uniforms(seed, runs, key, count)))

@@ -49,13 +49,12 @@ import sys
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 import pyarrow as arrow
 from pyarrow import parquet
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted, reason
 from rigid_body_ros.ensemble.motions import Motions
-from rigid_body_ros.ensemble.runs import MOTION, Span
+from rigid_body_ros.ensemble.runs import Columns, MOTION, Span
 from rigid_body_ros.runtime import files
 
 #: If possible, the missing runs are divided into at least `BLOCKS` blocks, so that there is enough
@@ -157,7 +156,7 @@ class Folder:
         return [(first, min(first + longest, end)) for begin, end in gaps
                 for first in range(begin, end, longest)]
 
-    def add(self, rows: Mapping[str, NDArray[Any]]) -> None:
+    def add(self, rows: Columns) -> None:
         """
         Add a block to the folder: write its motions first, and then its rows.
 

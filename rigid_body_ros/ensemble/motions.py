@@ -29,8 +29,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.runtime import files
 
@@ -42,7 +41,7 @@ COMPONENTS = {**{f'attitude.{axis}': '' for axis in 'xyzw'},
 _RUNS, _CHUNK, _BLOCK, _MOST = 1024, 2 ** 16, 2 ** 19, 2 ** 21
 
 
-def times_of(start_ns: int, end_ns: int, rate: float) -> NDArray[np.int64]:
+def times_of(start_ns: int, end_ns: int, rate: float) -> Ints:
     """
     Return the times at which `attitude_replay --rate` would compute states, including the end.
 

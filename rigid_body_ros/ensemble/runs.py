@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine.binding import LANES
@@ -115,7 +115,7 @@ class Ensemble:
     dispersions: tuple[Dispersion, ...]
     seed: int
     fitted: Fitted | None = None
-    times_ns: NDArray[np.int64] | None = None
+    times_ns: Ints | None = None
     controller: Controller | None = None
 
     def __post_init__(self) -> None:
@@ -231,7 +231,7 @@ class Ensemble:
             pieces.append(self._rows(np.arange(begin, min(begin + self._at_once, stop))))
         return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
 
-    def applied(self, runs: NDArray[np.int64]) -> Applied:
+    def applied(self, runs: Ints) -> Applied:
         """
         Return the parameters of some runs.
 
@@ -260,7 +260,7 @@ class Ensemble:
         return self._applied(np.arange(len(numbers)), drawn,
                              self.fitted.values(numbers) if self.fitted else {})
 
-    def _applied(self, runs: NDArray[np.int64], drawn: Mapping[str, Floats],
+    def _applied(self, runs: Ints, drawn: Mapping[str, Floats],
                  estimates: Mapping[str, Floats]) -> Applied:
         values = dispersed(self.dispersions, self.nominal, drawn, len(runs))
         return Applied.with_values(self.problem, runs, {**values, **estimates}, self._of_fields)
@@ -281,7 +281,7 @@ class Ensemble:
         return Applied.with_values(self.problem, np.zeros(1, np.int64), values, self._of_fields)
 
     @property
-    def _at(self) -> NDArray[np.int64]:
+    def _at(self) -> Ints:
         """Return the times at which states are computed, ns."""
         return np.array([self.end_ns]) if self.times_ns is None else self.times_ns
 
@@ -317,7 +317,7 @@ class Ensemble:
         runs = int(max(min(limit / (1.0 + steps), _STATES / len(self._at), _AT_ONCE), 1.0))
         return runs - runs % LANES or runs  # whole groups of runs that step together, if possible
 
-    def _rows(self, runs: NDArray[np.int64]) -> Columns:
+    def _rows(self, runs: Ints) -> Columns:
         # Suppress warnings about infinite values and NaN, which the messages of the runs report.
         with np.errstate(over='ignore', invalid='ignore'):
             applied = self.applied(runs)
@@ -456,7 +456,7 @@ def _later(log: TorqueLog, offset: float, torques: Floats) -> TorqueLog:
     return TorqueLog(_later_ns(log.times_ns, offset), torques, log.in_space, log.interpolation)
 
 
-def _later_ns(times_ns: NDArray[np.int64], offset: float) -> NDArray[np.int64]:
+def _later_ns(times_ns: Ints, offset: float) -> Ints:
     if not abs(offset) < NEVER_NS / 1e9:
         raise ValueError(f'clock_offset: expected less than 292 years, found {offset:g} s')
     offset_ns = round(offset * 1e9)

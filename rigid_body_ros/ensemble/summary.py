@@ -27,8 +27,7 @@ import re
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.errors import CUT, InputError, quoted
 from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.motions import Motions
@@ -61,8 +60,7 @@ _OTHERS = re.compile(r'\.\.\.(, \.\.\.)+')
 UNITS = {'rate': 'rad/s', 'angle': 'rad', ANGLE: 'rad'}
 #: How many of the worst runs are reported.
 _WORST = 5
-_RELATIONS: dict[str, Callable[[Floats, float], NDArray[np.bool_]]] = {
-    '<': operator.lt, '<=': operator.le, '>': operator.gt, '>=': operator.ge}
+_RELATIONS = {'<': operator.lt, '<=': operator.le, '>': operator.gt, '>=': operator.ge}
 _EXPRESSION = re.compile(r'\s*(\w+)\s*(<=|>=|<|>)\s*(\S+)\s*')
 #: The probability of each tail of a confidence interval.
 _TAIL = 0.025
@@ -290,7 +288,7 @@ def bands(motions: Motions, nominal: Floats, runs: int) -> dict[str, Any]:
             **{f'p{k}_rad': column.tolist() for k, column in zip(_BANDS, angles.T)}}
 
 
-def _angles(motions: Motions, nominal: Floats, rows: NDArray[np.int64], runs: int) -> Floats:
+def _angles(motions: Motions, nominal: Floats, rows: Ints, runs: int) -> Floats:
     """
     Return the angles from the nominal motion at some times, shape (times, runs).
 
