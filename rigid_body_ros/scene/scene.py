@@ -244,13 +244,13 @@ class Scene:
         """
         names = checked_names(given)
         table = parameters_with(names)
-        known = (*table, *OF_ROS)
+        accepted = (*table, *OF_ROS)
         ignored = tuple(name for name, value in given.items()
-                        if not name.startswith(QOS) and is_foreign(name, value, known))
+                        if not name.startswith(QOS) and is_foreign(name, value, accepted))
         for name in ignored:
             check_named(name, names)
-        given = {**given, **parts.inertia_of_robot(given)}
-        values = {name: checked(parameter, given.get(name, parameter.default))
+        specified = {**given, **parts.inertia_of_robot(given)}
+        values = {name: checked(parameter, specified.get(name, parameter.default))
                   for name, parameter in table.items()}
         try:
             start = State(values['start_time'], *(parts.numbers(values, group) for group in (
