@@ -51,7 +51,7 @@ _TIMEOUT, _MAX_TIMEOUT = 4.0, 30.0
 
 class DuplicateFilter:
     """
-    Decide whether a second torque with the same stamp requires another response.
+    Decide whether a second torque of a source with the same stamp requires another response.
 
     Parameters
     ----------
@@ -62,7 +62,8 @@ class DuplicateFilter:
 
     def __init__(self, history_ns: int) -> None:
         self._history_ns = history_ns
-        self._accepted: dict[int, _Accepted] = {}
+        #: The accepted torques at each stamp, by source.
+        self._accepted: dict[int, dict[int, _Accepted]] = {}
         #: How many times the state at each stamp was published.
         self._publications: dict[int, int] = {}
 
@@ -78,19 +79,20 @@ class DuplicateFilter:
 
     def accepted(self, torque: Torque, sender: Sender) -> None:
         """Record that a torque was accepted and is waiting for its response."""
-        previous = self._accepted.get(torque.stamp_ns)
+        previous = self._at(torque)
         received = previous.received if previous else 1
-        self._accepted[torque.stamp_ns] = _Accepted(torque, sender, received)
+        self._accepted.setdefault(torque.stamp_ns, {})[torque.source] = _Accepted(
+            torque, sender, received)
         _drop_before(self._accepted, torque.stamp_ns - self._history_ns)
 
     def responded(self, torque: Torque) -> None:
-        """Record that the response to a torque was published."""
-        if torque.stamp_ns in self._accepted:
-            self._accepted[torque.stamp_ns].responded_at = time.monotonic()
+        """Record that the response to the torques at the stamp of a torque was published."""
+        for accepted in self._accepted.get(torque.stamp_ns, {}).values():
+            accepted.responded_at = time.monotonic()
 
     def discard(self, torque: Torque) -> None:
         """Record that a torque will not get a response."""
-        self._accepted.pop(torque.stamp_ns, None)
+        self._accepted.get(torque.stamp_ns, {}).pop(torque.source, None)
 
     def is_duplicate(self, torque: Torque, sender: Sender) -> bool:
         """
@@ -102,7 +104,7 @@ class DuplicateFilter:
         state twice. Such a torque needs another response, because the first response may not have
         reached the sender.
         """
-        first = self._accepted.get(torque.stamp_ns)
+        first = self._at(torque)
         if first is None:
             return False
         if sender == UNKNOWN_SENDER or sender != first.sender:
@@ -114,13 +116,17 @@ class DuplicateFilter:
             or time.monotonic() - first.responded_at < _IN_FLIGHT
         return in_flight and self.is_same(torque)
 
+    def _at(self, torque: Torque) -> _Accepted | None:
+        """Return the accepted torque of the same source with the same stamp, if there is one."""
+        return self._accepted.get(torque.stamp_ns, {}).get(torque.source)
+
     def is_waiting(self, torque: Torque) -> bool:
         """Return whether the accepted torque with the same stamp is still awaiting a response."""
-        return self._accepted[torque.stamp_ns].responded_at is None
+        return self._accepted[torque.stamp_ns][torque.source].responded_at is None
 
     def is_same(self, torque: Torque) -> bool:
         """Return whether a torque equals the accepted torque with the same stamp."""
-        other = self._accepted[torque.stamp_ns].torque
+        other = self._accepted[torque.stamp_ns][torque.source].torque
         return torque.frame == other.frame and np.array_equal(torque.values, other.values,
                                                               equal_nan=True)
 

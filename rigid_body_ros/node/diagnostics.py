@@ -193,12 +193,10 @@ class Diagnostics:
         topics = {drain.subscription.topic_name: source for source, drain in torques.items()}
         first = next(iter(problems))
         for subscription in inputs:
-            peers = self._node.get_publishers_info_by_topic(subscription.topic_name)
             problems[topics.get(subscription.topic_name, first)].extend(
-                self._incompatible(subscription.topic_name, peers, 'subscriptions'))
+                self._incompatible(subscription.topic_name, is_input=True))
         for publisher in outputs:
-            peers = self._node.get_subscriptions_info_by_topic(publisher.topic_name)
-            problems[first].extend(self._incompatible(publisher.topic_name, peers, 'publishers'))
+            problems[first].extend(self._incompatible(publisher.topic_name, is_input=False))
         return problems
 
     def _surplus(self, drain: DrainCallback, several: str) -> list[str]:
@@ -215,17 +213,17 @@ class Diagnostics:
         self._log(f'{_SEVERAL_PUBLISHERS} {topic}', problem)
         return [problem]
 
-    def _incompatible(self, topic: str, peers: Iterable[TopicEndpointInfo],
-                      own: str) -> list[str]:
+    def _incompatible(self, topic: str, is_input: bool) -> list[str]:
         # Compare the QoS profiles that DDS reports, because these contain no unresolved defaults.
-        endpoints = getattr(self._node, f'get_{own}_info_by_topic')(topic)
-        profile = next((info.qos_profile for info in endpoints
+        publishers = self._node.get_publishers_info_by_topic(topic)
+        subscriptions = self._node.get_subscriptions_info_by_topic(topic)
+        own, peers = (subscriptions, publishers) if is_input else (publishers, subscriptions)
+        profile = next((info.qos_profile for info in own
                         if full_name(info) == self._node.get_fully_qualified_name()), None)
         problems = []
         for info in peers if profile else ():
-            pair = (profile, info.qos_profile) if own == 'publishers' else \
-                (info.qos_profile, profile)
-            compatible, reason = qos_check_compatible(*pair)
+            compatible, reason = qos_check_compatible(
+                *((info.qos_profile, profile) if is_input else (profile, info.qos_profile)))
             if compatible == QoSCompatibility.ERROR:
                 problems.append(f'{topic}: {full_name(info)} is not connected: '
                                 f'{reason.removeprefix("ERROR: ").rstrip("; ")}')

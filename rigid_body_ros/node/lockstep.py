@@ -42,7 +42,7 @@ from rigid_body_ros.node.clocks import ClockPublisher, message_of, WatchedClock
 from rigid_body_ros.node.intake import full_name, RELIABLE
 from rigid_body_ros.node.mode import BUDGET, Mode
 from rigid_body_ros.node.process import timer
-from rigid_body_ros.node.sources import BODY, sources_of
+from rigid_body_ros.node.sources import BODY
 from std_srvs.srv import SetBool
 
 #: How often to commit states and to check whether the state should be republished, and how long to
@@ -77,10 +77,7 @@ class Lockstep(Mode):
         self._time = WatchedClock(self._node.get_clock(),
                                   self._node.get_parameter('use_sim_time').value)
         self._step_ns = max(1, duration_ns(self._scene.step, 'step'))
-        history_ns = duration_ns(self._scene.history, 'history')
-        #: The duplicate filter of each source, by source number.
-        self._duplicates = {source.number: DuplicateFilter(history_ns)
-                            for source in sources_of(self._parameters.scene)}
+        self._duplicates = DuplicateFilter(duration_ns(self._scene.history, 'history'))
         #: `_unmet` is the number of torques since the last that arrived while the node waited.
         self._republishing, self._unmet = RepublishPolicy(), 0
         self._start = self._saved or self.run.initial(self._given_start_ns)
@@ -153,7 +150,7 @@ class Lockstep(Mode):
         else:
             self.end()
             self._start = state
-        self._clear_duplicates()
+        self._duplicates.clear()
         self._publish_start()
         begin = f'{state.time_ns} ns' if state.time_ns else 'the stamp of the next torque'
         return f'initial_state received: a new epoch begins at {begin}'
@@ -164,7 +161,7 @@ class Lockstep(Mode):
         self._start = self.run.initial(self._given_start_ns)
         if self._given_start_ns:
             self._begin(self._start)
-        self._clear_duplicates()
+        self._duplicates.clear()
         # A torque that responds to the latest state may still be in transit. Remember the stamp,
         # so that this torque is rejected.
         self._stale_ns = self._latest.state.time_ns
@@ -235,22 +232,18 @@ class Lockstep(Mode):
 
     def _begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
         self._start = start
-        if self.run.epoch is not None:  # otherwise the queued torques belong to the new epoch
-            self.end()
-        self.run.begin(start, torques)
-        self._parameters.set_start(start)
+        self._begin_epoch(start, torques)
 
     def _read(self, queued: Queued) -> Torque | None:
         torque, sender = self.intake.inputs.torque(queued.data, queued.source), queued.sender
         self._check_stamp(torque.stamp_ns)
-        duplicates = self._duplicates[torque.source]
-        if duplicates.is_duplicate(torque, sender) and not (
-                duplicates.is_waiting(torque) and self._is_due(torque)):
+        if self._duplicates.is_duplicate(torque, sender) and not (
+                self._duplicates.is_waiting(torque) and self._is_due(torque)):
             self._skip_duplicate(torque)
             return None
         if self.run.epoch is None:
             self._begin(replace(self._start, time_ns=torque.stamp_ns))
-        duplicates.accepted(torque, sender)
+        self._duplicates.accepted(torque, sender)
         return torque
 
     def _is_due(self, torque: Torque) -> bool:
@@ -284,7 +277,7 @@ class Lockstep(Mode):
             The torque differs from the first torque with this stamp.
 
         """
-        if not self._duplicates[torque.source].is_same(torque):
+        if not self._duplicates.is_same(torque):
             raise RejectedError(DIFFERS, 'a different torque was accepted before for the state '
                                 f'at {torque.stamp_ns} ns; {self.several_publishers}')
         self._diagnostics.count(APPLIED, torque.source)
@@ -297,12 +290,12 @@ class Lockstep(Mode):
         if snapshot is None:
             self._refuse(torque)
             return
-        self._publish(snapshot, max(snapshot, self._latest, key=lambda one: one.state.time_ns))
-        for duplicates in self._duplicates.values():
-            duplicates.responded(torque)
+        is_newest = snapshot.state.time_ns >= self._latest.state.time_ns
+        self._publish(snapshot, snapshot if is_newest else self._latest)
+        self._duplicates.responded(torque)
 
     def _refuse(self, torque: Torque) -> None:
-        self._duplicates[torque.source].discard(torque)
+        self._duplicates.discard(torque)
 
     def _publish_start(self) -> None:
         # If there is an epoch, take its snapshot, which also contains the torques on the body and
@@ -331,12 +324,7 @@ class Lockstep(Mode):
         self._outputs.publish(snapshot)
         self._republishing.published(is_repeated)
         if self._republishing.has_controller or self.run.epoch is not None:
-            for duplicates in self._duplicates.values():
-                duplicates.published(time_ns)
-
-    def _clear_duplicates(self) -> None:
-        for duplicates in self._duplicates.values():
-            duplicates.clear()
+            self._duplicates.published(time_ns)
 
     def _connected(self) -> tuple[int, int]:
         publishers = sum(self.intake.publisher_count(source) for source in self.intake.drains

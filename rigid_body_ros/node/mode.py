@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 import time
 
 from rigid_body_ros.live.checkpoint import Checkpoint
@@ -24,6 +25,7 @@ from rigid_body_ros.live.events import LATE, RejectedError
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.run import Run
 from rigid_body_ros.live.torque_queue import Queued, Sender, TorqueQueue
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.intake import BEST_EFFORT, Intake, PollingNode
 from rigid_body_ros.node.outputs import Publishers
@@ -167,6 +169,13 @@ class Mode:
         self._current, self._is_applied, self._is_answered = None, False, False
         self._queue.end(kept)
         self.run.end(until)
+
+    def _begin_epoch(self, start: State, torques: Sequence[Torque], kept: str = LATE) -> None:
+        """Begin an epoch with torques of the previous one, which `end` ends; see there."""
+        if self.run.epoch is not None:  # otherwise the queued torques belong to the new epoch
+            self.end(kept=kept)
+        self.run.begin(start, torques)
+        self._parameters.set_start(start)
 
     def _next(self) -> tuple[Torque, Queued] | None:
         """Take the first torque from the queue, or return None if it cannot be applied now."""

@@ -341,11 +341,8 @@ class Realtime(Mode):
         that were ahead of the clock. Otherwise, they are the torques that were too old for the
         previous epoch.
         """
-        if self.run.epoch is not None:  # otherwise the queued torques belong to the new epoch
-            self.end(kept=events.FUTURE if is_ahead else events.LATE)
+        self._begin_epoch(start, torques, events.FUTURE if is_ahead else events.LATE)
         self._published_ns = 0
-        self.run.begin(start, torques)
-        self._parameters.set_start(start)
         text = f'{reason}: a new epoch begins at {start.time_ns} ns'
         self._node.get_logger().info(text)
         return text
