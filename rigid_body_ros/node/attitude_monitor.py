@@ -124,8 +124,8 @@ class MonitorInputs:
         #: times are in seconds on the monotonic clock.
         self._read_until = self._jumped_at = 0.0
         self._reading, self._jump_ns = ClockReading(0, 0), 0
-        #: For each source, the stamps of the messages that have arrived, ns, and their contents.
-        self._waiting: dict[int, tuple[list[int], list[Any]]] = defaultdict(lambda: ([], []))
+        #: The messages of each source that have arrived.
+        self._waiting: dict[int, list[Any]] = defaultdict(list)
         # Otherwise, read the clock when a message arrives.
         self.intake = Intake(node, scene, sources, self.diagnostics, BEST_EFFORT,
                              not self._is_simulated, self._receive)
@@ -189,19 +189,17 @@ class MonitorInputs:
             now_ns = received_ns or self._reading.now_ns
         if not now_ns:
             raise events.RejectedError(events.NO_CLOCK, events.NO_TIME)
-        is_torque = source < _FIRST_MEASURED
+        is_torque = source not in self._unused
         arrived_ns = received_ns or self._arrivals.stamp()
         message: Torque | messages.Stamped = self.intake.read(
             self.intake.inputs.torque, data, source, arrived_ns) if is_torque else \
             self.intake.read(self._measurement, data, source, arrived_ns)
         self._check_stamp(message.stamp_ns, now_ns)
-        stamps_ns, arrived = self._waiting[source]
-        drain = self.intake.drains[source]
+        arrived, drain = self._waiting[source], self.intake.drains[source]
         if is_torque and drain.has_gap:
             drain.has_gap = False
-            before_ns = stamps_ns[-1] if stamps_ns else self._newest_ns.get(source, 0)
+            before_ns = arrived[-1].stamp_ns if arrived else self._newest_ns.get(source, 0)
             self.monitor.skip(before_ns, message.stamp_ns, _LOST)
-        stamps_ns.append(message.stamp_ns)
         arrived.append(message)
 
     def now_ns(self) -> int:
@@ -244,9 +242,9 @@ class MonitorInputs:
         """
         if not self._is_simulated:
             self.intake.poll()
-        for source, (stamps_ns, arrived) in self._waiting.items():
-            put = self._apply if source < _FIRST_MEASURED else self._measure
-            put(source, np.array(stamps_ns), arrived)
+        for source, arrived in self._waiting.items():
+            put = self._measure if source in self._unused else self._apply
+            put(source, np.array([message.stamp_ns for message in arrived]), arrived)
         self._waiting.clear()
 
     def _check_stamp(self, stamp_ns: int, now_ns: int) -> None:

@@ -29,12 +29,6 @@ from rigid_body_ros.propagation.segment import WHEELS as WHEELS
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import LOCKSTEP
 
-#: The topic for the torque that the motors exert on the rotors.
-_WHEEL_TORQUE = 'wheel_torque'
-#: The topic for the inertia of a body whose inertia changes.
-_INERTIA = 'inertia'
-#: The topic for commands to named wheels.
-_WHEEL_COMMAND = 'wheel_command'
 #: The types that torques may have. In lockstep, a torque must have the stamp of the state to which
 #: it responds.
 _LOCKSTEP_TORQUES = messages.WRENCH, messages.TORQUE_VECTOR
@@ -74,17 +68,16 @@ def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
     sources = [TorqueTopic(number, topic, f'~/accepted_torque{suffix}', f'torques{suffix}',
                            'torque', kinds)
                for number, (topic, suffix) in enumerate(zip(scene.torque_topics, suffixes))]
-    if scene.wheels:
-        sources.append(TorqueTopic(WHEELS, _WHEEL_TORQUE, '~/accepted_wheel_torque',
+    if scene.wheels:  # the torque that motors exert on the rotors
+        sources.append(TorqueTopic(WHEELS, 'wheel_torque', '~/accepted_wheel_torque',
                                    'wheel torques', 'torque', kinds))
     if scene.inertia_topic:
-        sources.append(TorqueTopic(BODY, _INERTIA, '~/accepted_inertia', 'inertia',
-                                   'inertia', (messages.INERTIA,)))
+        sources.append(TorqueTopic(BODY, 'inertia', '~/accepted_inertia', 'inertia', 'inertia',
+                                   (messages.INERTIA,)))
     if scene.named_wheels:
-        names = [wheel.name for wheel in scene.named_wheels]
-        sources.append(TorqueTopic(COMMANDS, _WHEEL_COMMAND, '~/accepted_wheel_command',
-                                   'wheel commands', 'command',
-                                   (messages.joint_commands(names),)))
+        commands = messages.joint_commands([wheel.name for wheel in scene.named_wheels])
+        sources.append(TorqueTopic(COMMANDS, 'wheel_command', '~/accepted_wheel_command',
+                                   'wheel commands', 'command', (commands,)))
     return tuple(sources)
 
 
