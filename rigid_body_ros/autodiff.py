@@ -93,11 +93,11 @@ def vjp(problem: Problem, inputs: Mapping[str, ArrayLike], *, at: ArrayLike
         `Problem.propagate` raises it.
 
     """
-    given = {name: np.asarray(values, float) for name, values in inputs.items()}
-    _check(problem, given)
-    changed = _with_inputs(problem, given)
+    arrays = {name: np.asarray(values, float) for name, values in inputs.items()}
+    _check(problem, arrays)
+    changed = _with_inputs(problem, arrays)
     motion = changed.propagate(at=at)
-    return motion, partial(_gradients, changed, motion, given)
+    return motion, partial(_gradients, changed, motion, arrays)
 
 
 def jax_motion(problem: Problem, *, at: ArrayLike
@@ -126,11 +126,12 @@ def jax_motion(problem: Problem, *, at: ArrayLike
 
     def outputs(inputs: dict[str, Any]) -> tuple[Any, Any]:
         shapes = tuple(jax.ShapeDtypeStruct((len(times_ns), size), float) for size in (4, 3))
-        return on_host(lambda given: _outputs(vjp(problem, given, at=times_ns)[0]), shapes, inputs)
+        return on_host(lambda arrays: _outputs(vjp(problem, arrays, at=times_ns)[0]), shapes,
+                       inputs)
 
     def gradients(inputs: dict[str, Any], pulled: tuple[Any, Any]) -> tuple[dict[str, Any]]:
         return on_host(
-            lambda given, pulls: (vjp(problem, given, at=times_ns)[1](*pulls),),
+            lambda arrays, pulls: (vjp(problem, arrays, at=times_ns)[1](*pulls),),
             ({name: jax.ShapeDtypeStruct(x.shape, float) for name, x in inputs.items()},),
             inputs, pulled)
 
@@ -141,9 +142,9 @@ def jax_motion(problem: Problem, *, at: ArrayLike
         if not jax.config.jax_enable_x64:
             raise ValueError("jax_enable_x64: expected jax.config.update('jax_enable_x64', True), "
                              'found JAX with floats of 32 bits')
-        given = {name: jax.numpy.asarray(values, float) for name, values in inputs.items()}
-        _check(problem, given)  # here, because JAX reports errors on the host with a traceback
-        return motion(given)
+        arrays = {name: jax.numpy.asarray(values, float) for name, values in inputs.items()}
+        _check(problem, arrays)  # here, because JAX reports errors on the host with a traceback
+        return motion(arrays)
 
     return checked
 
@@ -180,8 +181,8 @@ def torch_motion(problem: Problem, *, at: ArrayLike
         @staticmethod
         @torch.autograd.function.once_differentiable  # type: ignore[untyped-decorator]
         def backward(context: Any, *pulls: Any) -> tuple[Any, ...]:
-            found = context.pull(*[pull.detach().numpy() for pull in pulls])
-            return None, *[torch.from_numpy(found[name]) for name in context.names]
+            gradients = context.pull(*[pull.detach().numpy() for pull in pulls])
+            return None, *[torch.from_numpy(gradients[name]) for name in context.names]
 
     return lambda inputs: TorchMotion.apply(tuple(inputs), *inputs.values())
 
@@ -234,17 +235,18 @@ def _gradients(problem: Problem, motion: Trajectory, inputs: Mapping[str, Floats
                              np.asarray(attitude, float))
     pulls = np.concatenate([turned, angular_velocity], axis=-1)
     # Whatever has no derivatives is found here, before wheels become rotors.
-    found = problem.derivatives(
+    derivatives = problem.derivatives(
         sorted({'start', *(_PARAMETERS[name][0] for name in inputs if name in _PARAMETERS)}),
         at=motion.times_ns)
-    by_component = np.einsum('mip,...mi->...p', found.both, pulls)
+    by_component = np.einsum('mip,...mi->...p', derivatives.both, pulls)
     gradients = {}
     for name in inputs:
         if name == 'torques':
             gradients[name] = _by_torques(problem.carried(), motion.times_ns, pulls)
             continue
         prefix = _PARAMETERS[name][1]
-        gradients[name] = by_component[..., [one.startswith(prefix) for one in found.names]]
+        gradients[name] = by_component[..., [
+            component.startswith(prefix) for component in derivatives.names]]
         if name in ('inertia', 'damping'):
             gradients[name] = _SHARES * gradients[name][..., _PLACES]
         elif name == 'attitude':

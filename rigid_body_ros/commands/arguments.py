@@ -52,8 +52,8 @@ def note(options: argparse.Namespace, text: str) -> None:
 def warn_of_samples(options: argparse.Namespace, path: str, torques: Account | None,
                     measured: Iterable[Measured]) -> None:
     """Warn about samples that are lost or in other frames, and note what was converted."""
-    for topic, frames, account in [*((one.topic, one.frames, one.account) for one in measured),
-                                   *([('torques', '', torques)] if torques else [])]:
+    parts = [(sensor.topic, sensor.frames, sensor.account) for sensor in measured]
+    for topic, frames, account in [*parts, *([('torques', '', torques)] if torques else [])]:
         for text in filter(None, (frames, *account.faults)):
             report(f'{options.command}: warning: {path}: {topic}: {text}')
         for text in account.notes:

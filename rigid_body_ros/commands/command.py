@@ -64,10 +64,10 @@ class Command:
         """Parse the arguments; raise InputError if standard output is closed."""
         if sys.stdout is None:
             raise InputError('cannot write to standard output: it is closed')
-        given = [*(sys.argv[1:] if arguments is None else arguments)]
-        end = given.index('--') if self.rest and '--' in given else len(given)
-        options = self.parser().parse_args(given[:end])
-        options.arguments, options.rest = given, given[end + 1:]
+        words = [*(sys.argv[1:] if arguments is None else arguments)]
+        end = words.index('--') if self.rest and '--' in words else len(words)
+        options = self.parser().parse_args(words[:end])
+        options.arguments, options.rest = words, words[end + 1:]
         return options
 
     def parser(self) -> Parser:
@@ -204,11 +204,11 @@ class _Once(argparse.Action):
             The option already has a value.
 
         """
-        given = vars(namespace).setdefault('given', {})
-        if self.dest in given:
+        earlier = vars(namespace).setdefault('given', {})
+        if self.dest in earlier:
             raise InputError(f'{option_string}: expected the option at most once, found '
-                             f'{given[self.dest]!r} and {values!r}')
-        given[self.dest] = values
+                             f'{earlier[self.dest]!r} and {values!r}')
+        earlier[self.dest] = values
         setattr(namespace, self.dest, values)
 
 
@@ -226,13 +226,13 @@ class _Version(argparse.Action):
 def imported(command: str, module: str) -> ModuleType:
     """Import a module that needs ROS; raise InputError if ROS is not installed."""
     try:
-        found = import_module(module)
+        loaded = import_module(module)
     except ModuleNotFoundError as error:
         raise InputError(f"{command} needs ROS 2, but the module '{error.name}' is not "
                          'installed: source a ROS 2 installation, or run '
                          "pip install '.[ros]' in a clone of rigid_body_ros") from error
     interrupts.check()  # the import is slow
-    return found
+    return loaded
 
 
 def _columns(text: str) -> dict[str, str]:

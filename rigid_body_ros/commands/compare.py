@@ -19,12 +19,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rigid_body_ros.commands.arguments import (
-    load_scene,
-    reading_of,
-    warn_of_samples,
-    warn_of_units,
-)
+from rigid_body_ros.commands import arguments
 from rigid_body_ros.commands.command import Command, Parser, positive
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
@@ -41,18 +36,18 @@ def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.recording import suffix_of
     name = Path(options.recording).name
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
-        scene = load_scene(options) if options.scene else None
+        scene = arguments.load_scene(options) if options.scene else None
         _check_use(options)
         align = {*options.align, *(['start'] if options.check else [])}
-        track = progress('comparing', ' steps')
-        if scene is None:
-            comparison = compare_sensors(options.recording, reading_of(options), align, track)
-        else:
-            warn_of_units(options, [options.recording])
-            comparison = compare_recording(
-                options.recording, scene, reading_of(options), motion=options.motion,
-                align=align, horizons=options.horizon, track=track)
-        warn_of_samples(options, options.recording, comparison.torques, comparison.measured)
+        if scene:
+            arguments.warn_of_units(options, [options.recording])
+        reading, track = arguments.reading_of(options), progress('comparing', ' steps')
+        comparison = compare_recording(
+            options.recording, scene, reading, motion=options.motion, align=align,
+            horizons=options.horizon, track=track) if scene else \
+            compare_sensors(options.recording, reading, align, track)
+        arguments.warn_of_samples(options, options.recording, comparison.torques,
+                                  comparison.measured)
         if options.check and not comparison.verdict:
             raise InputError(f'{options.recording}: --check: expected at least {FEWEST} samples '
                              f'during the motion, found {comparison.samples}')
@@ -70,15 +65,15 @@ def _run(options: argparse.Namespace) -> int:
 
 def _check_use(options: argparse.Namespace) -> None:
     """Raise InputError if an option needs a scene, or a motion that is computed."""
-    computed = {'check': '--check', 'start': '--from', 'until': '--until'}
-    others = {name: f'--{name.replace("_", "-")}' for name in (
-        'horizon', 'motion', 'topic', 'wheel_torque', 'wheel_momentum', 'wheel_command',
-        'inertia', 'interpolation')}
-    needed, what = (computed, 'a motion that is computed, found --motion') if options.scene \
-        else (computed | others, '--scene, found none')
-    for name, option in needed.items() if options.motion or not options.scene else ():
+    names, what = ['check', 'start', 'until'], 'a motion that is computed, found --motion'
+    if not options.scene:
+        names += ['horizon', 'motion', 'topic', 'wheel_torque', 'wheel_momentum', 'wheel_command',
+                  'inertia', 'interpolation']
+        what = '--scene, found none'
+    for name in names if options.motion or not options.scene else ():
         if getattr(options, name):
-            raise InputError(f'{option}: expected {what}')
+            option = name.replace('start', 'from').replace('_', '-')
+            raise InputError(f'--{option}: expected {what}')
 
 
 def _add_arguments(parser: Parser) -> None:

@@ -31,10 +31,8 @@ from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import progress
 
 if TYPE_CHECKING:
-    from rigid_body_ros.ensemble.controller import Controller
     from rigid_body_ros.ensemble.driver import Pool
     from rigid_body_ros.ensemble.runs import Ensemble
-    from rigid_body_ros.ensemble.summary import Requirement
     from rigid_body_ros.propagation import Problem
     from rigid_body_ros.report.report import Report
     from rigid_body_ros.scene import Scene
@@ -46,7 +44,8 @@ FINAL = 'final'
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.ensemble import driver, report, summary, worst
     from rigid_body_ros.ensemble.folder import opened
-    requirements = _requirements(options)
+    with located('--require', InputError):
+        requirements = [summary.Requirement.read(text) for text in options.require]
     with checked(options) as outputs:
         scene = load_scene(options)
         ensemble = _ensemble(options, scene)
@@ -55,32 +54,26 @@ def _run(options: argparse.Namespace) -> int:
                     note=partial(note, options)) as folder:
             driver.compute(ensemble, folder, _pool(options), progress(
                 'runs', ' runs', lambda rows: len(rows['run'])))
-            found = summary.summarized(ensemble, folder, requirements)
+            results = summary.summarized(ensemble, folder, requirements)
             worst.write(folder.path / worst.FOLDER, ensemble, scene, {
-                one['run'] for each in found.get('requirements', ()) for one in each['worst']})
+                run['run'] for judged in results.get('requirements', ())
+                for run in judged['worst']})
             replay = partial(worst.command, ensemble)
-            shown = report.report_of(found, Path(options.recording or options.scene).name,
+            shown = report.report_of(results, Path(options.recording or options.scene).name,
                                      partial(replay, folder.path.name))
-            _draw(options, folder.picture, shown)
-            folder.finish({**identity, **found})
+            if shown.panels:  # not all runs failed
+                _draw(options, folder.picture, shown)
+            folder.finish({**identity, **results})
             outputs.write_asked(scene, lambda: shown)
-    outputs.show(report.text_of(found, partial(replay, options.output)), 17,
+    outputs.show(report.text_of(results, partial(replay, options.output)), 17,
                  [options.output, *outputs.names])
-    if found['failed'] == found['runs']:
+    if results['failed'] == results['runs']:
         raise InputError(f'{options.output}: expected runs that can be computed, found that all '
-                         f'{found["runs"]} failed')
+                         f'{results["runs"]} failed')
     return 0
 
 
-def _requirements(options: argparse.Namespace) -> list[Requirement]:
-    from rigid_body_ros.ensemble.summary import Requirement
-    with located('--require', InputError):
-        return [Requirement.read(text) for text in options.require]
-
-
 def _draw(options: argparse.Namespace, path: Path, report: Report) -> None:
-    if not report.panels:
-        return  # all runs failed
     try:
         from rigid_body_ros.report.picture import draw  # matplotlib is slow to import
     except ModuleNotFoundError as error:
@@ -101,7 +94,7 @@ def _pool(options: argparse.Namespace) -> Pool:
 
 
 def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
-    from rigid_body_ros.ensemble.controller import ControllerError
+    from rigid_body_ros.ensemble.controller import Controller, ControllerError
     from rigid_body_ros.ensemble.dispersions import load_varied
     from rigid_body_ros.ensemble.motions import times_of
     from rigid_body_ros.ensemble.runs import Ensemble
@@ -111,9 +104,18 @@ def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
     problem, end_ns = _problem(options, scene)
     times_ns = None if options.times == FINAL else \
         times_of(problem.start.time_ns, end_ns, options.times)
+    controller = None
     with located(options.vary, InputError):
-        ensemble = Ensemble(problem, end_ns, varied, options.seed, estimates, times_ns,
-                            _controller(options, scene, problem))
+        if options.controller:
+            for log in problem.logs:
+                if log.interpolation != 'hold':
+                    raise InputError(f"{options.scene}: interpolation: expected 'hold', as in "
+                                     'lockstep, with a controller, found '
+                                     f'{log.interpolation!r}')
+            actuator = next(filter(None, scene.actuators or ()), None)  # the same for all topics
+            controller = Controller.load(options.controller,
+                                         max(1, duration_ns(scene.step, 'step')), actuator)
+        ensemble = Ensemble(problem, end_ns, varied, options.seed, estimates, times_ns, controller)
     try:
         ensemble.check()
     except ControllerError as error:
@@ -123,24 +125,12 @@ def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
     return ensemble
 
 
-def _controller(options: argparse.Namespace, scene: Scene, problem: Problem) -> Controller | None:
-    if not options.controller:
-        return None
-    from rigid_body_ros.ensemble.controller import Controller
-    for log in problem.logs:
-        if log.interpolation != 'hold':
-            raise InputError(f"{options.scene}: interpolation: expected 'hold', as in lockstep, "
-                             f'with a controller, found {log.interpolation!r}')
-    actuator = next(filter(None, scene.actuators or ()), None)  # the same for all topics
-    return Controller.load(options.controller, max(1, duration_ns(scene.step, 'step')), actuator)
-
-
 def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
     """Return the problem for the nominal motion, and the time at which that motion ends, ns."""
     problem, end_ns = scene.problem(), None
     if options.recording is not None:
-        found = read_torques(options, scene)
-        problem, end_ns = found.problem, int(found.times_ns[-1])
+        logged = read_torques(options, scene)
+        problem, end_ns = logged.problem, int(logged.times_ns[-1])
     start_ns = problem.start.time_ns
     if options.until:
         end_ns = start_ns + round(options.until * 1e9)

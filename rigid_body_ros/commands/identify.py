@@ -20,14 +20,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rigid_body_ros.commands.arguments import (
-    load_scene,
-    reading_of,
-    warn_of_samples,
-    warn_of_units,
-)
+from rigid_body_ros.commands import arguments
 from rigid_body_ros.commands.command import Command, Parser, positive, within
-from rigid_body_ros.commands.outputs import checked, Outputs
+from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, listed, located
 from rigid_body_ros.runtime.terminal import report
 
@@ -41,29 +36,36 @@ OK, PARTIAL, REJECTED = 0, 3, 4
 
 
 def _run(options: argparse.Namespace) -> int:
+    from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf
+    from rigid_body_ros.identification.result import report_of
     with checked(options, (options.output, _suffix(options.output))) as outputs:
-        scene = load_scene(options)
-        found, first = _identified(options, scene)
-        status, text = _status(found)
-        written = _write(options, outputs, found, first, scene, status == OK or options.force)
-    outputs.show(found.text(options.degrees), 17, written)
+        scene = arguments.load_scene(options)
+        fit, first = _identified(options, scene)
+        status, text = _status(fit)
+        is_good = status == OK or options.force
+        if options.output and is_good:
+            fitted = fitted_urdf if _suffix(options.output) == '.urdf' else fitted_scene
+            outputs.write_text(options.output, fitted(scene, fit))
+        name = Path(options.recording[0]).name
+        outputs.write_asked(scene, lambda: report_of(fit, first, name, options.degrees),
+                            fit.as_dict)
+    outputs.show(fit.text(options.degrees), 17,
+                 [name for name in outputs.names if is_good or name != options.output])
     if status != OK:
-        if options.output and options.output not in written:
+        if options.output and not is_good:
             text += '; no scene was written (--force writes it)'
         report(f'{options.command}: {text}')
     return status
 
 
-def _status(found: Identification) -> tuple[int, str]:
+def _status(fit: Identification) -> tuple[int, str]:
     """Return the exit status, and a text that describes the problem ('' if all is well)."""
-    if found.verdict.level == 'rejected':  # then it does not matter what the data determines
+    if fit.verdict.level == 'rejected':  # then it does not matter what the data determines
         return REJECTED, 'the model does not explain the measurements'
-    names = [name for name, one in found.estimates.items() if not one.identifiable]
+    names = [name for name, estimate in fit.estimates.items() if not estimate.identifiable]
     if names:
         return PARTIAL, f'the data does not determine {listed(names)}'
-    if not found.is_complete:
-        return PARTIAL, 'the fit did not converge'
-    return OK, ''
+    return (OK, '') if fit.is_complete else (PARTIAL, 'the fit did not converge')
 
 
 def _identified(options: argparse.Namespace,
@@ -72,10 +74,10 @@ def _identified(options: argparse.Namespace,
     from rigid_body_ros.identification import identify
     from rigid_body_ros.identification.recorded import read_experiments
     if not {'torque_gain', 'torque_gains'} & {*options.estimate}:
-        warn_of_units(options, options.recording)
-    experiments = read_experiments(options.recording, scene, reading_of(options))
+        arguments.warn_of_units(options, options.recording)
+    experiments = read_experiments(options.recording, scene, arguments.reading_of(options))
     for path, (_, observed) in zip(options.recording, experiments):
-        warn_of_samples(options, path, observed.torques, observed.sensors)
+        arguments.warn_of_samples(options, path, observed.torques, observed.sensors)
     with located(options.recording[0]):
         fit = identify(
             scene.body, experiments, estimate=options.estimate,
@@ -83,20 +85,6 @@ def _identified(options: argparse.Namespace,
             validate=options.validate, priors=dict(options.prior), gravity=options.gravity,
             accept=options.accept)
     return fit, experiments[0][0]
-
-
-def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
-           first: Problem, scene: Scene, is_good: bool) -> list[str]:
-    """Write the outputs, and return the names of the files; write the scene only if `is_good`."""
-    from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf
-    from rigid_body_ros.identification.result import report_of
-    name = Path(options.recording[0]).name
-    if options.output and is_good:
-        fitted = fitted_urdf if _suffix(options.output) == '.urdf' else fitted_scene
-        outputs.write_text(options.output, fitted(scene, found))
-    outputs.write_asked(scene, lambda: report_of(found, first, name, options.degrees),
-                        found.as_dict)
-    return [each for each in outputs.names if is_good or each != options.output]
 
 
 def _suffix(output: str | None) -> str:

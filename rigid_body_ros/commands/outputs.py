@@ -79,10 +79,10 @@ class Outputs:
 
     def __init__(self, options: argparse.Namespace, *outputs: tuple[str | None, str]) -> None:
         shared = [(getattr(options, name, None), suffix) for name, suffix in _SUFFIXES.items()]
-        given = [(path, suffix) for path, suffix in (*outputs, *shared) if path]
+        named = [(path, suffix) for path, suffix in (*outputs, *shared) if path]
         with files.overwriting(options.overwrite):
-            files.check(*given)
-        self._options, self._suffixes = options, dict(given)
+            files.check(*named)
+        self._options, self._suffixes = options, dict(named)
         self.names = [*self._suffixes]
 
     @contextmanager

@@ -30,31 +30,26 @@ from rigid_body_ros.runtime.terminal import progress, show
 if TYPE_CHECKING:
     from rigid_body_ros.propagation import Problem
     from rigid_body_ros.scene import Scene
-    from rigid_body_ros.tradeoff import Tradeoff
 
 
 def _run(options: argparse.Namespace) -> int:
+    from rigid_body_ros.tradeoff import measure, TARGET
     from rigid_body_ros.tradeoff.result import report_of
     with checked(options) as outputs:
         scene = load_scene(options)
-        result, title = _measure(options, scene)
-        outputs.write_asked(scene, lambda: report_of(result, title), result.as_dict)
+        problem, name = _problem(options, scene)
+        source, length = options.recording or options.scene, length_of(options)
+        end_ns = None if length is None else problem.start.time_ns + round(1e9 * length)
+        with located(f'{source}: {name}' if options.recording else source):
+            # The problem that is measured has rotors in place of the named wheels, and its body
+            # does not include the axial inertia of the wheels.
+            result = measure(problem.carried(), targets=options.target or [TARGET],
+                             track=progress('measuring', ' runs'), end_ns=end_ns)
+        # The title names the recording and its topic, or the scene.
+        outputs.write_asked(scene, lambda: report_of(result, f'{Path(source).name}: {name}'),
+                            result.as_dict)
     show(result.text(all_rows=options.all))
     return 0
-
-
-def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
-    """Return the result and a title; the title names the recording and its topic, or the scene."""
-    from rigid_body_ros.tradeoff import measure, TARGET
-    problem, name = _problem(options, scene)
-    source, length = options.recording or options.scene, length_of(options)
-    end_ns = None if length is None else problem.start.time_ns + round(1e9 * length)
-    with located(f'{source}: {name}' if options.recording else source):
-        # The problem that is measured has rotors in place of the named wheels, and its body does
-        # not include the axial inertia of the wheels.
-        result = measure(problem.carried(), targets=options.target or [TARGET],
-                         track=progress('measuring', ' runs'), end_ns=end_ns)
-    return result, f'{Path(source).name}: {name}'
 
 
 def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:

@@ -171,11 +171,11 @@ def identify(body: RigidBody, experiments: Observed | Sequence[Observed], *,
     training = [_training(channels, validate) for channels in every]
     setup = setup_of([problem.replaced(body=body) for problem, _ in observed], training, names,
                      attitude_noise, rate_noise, gravity)
-    given = checked_priors(priors or {}, setup.extended(
+    checked = checked_priors(priors or {}, setup.extended(
         setup.given, setup.candidates()).parameters)
     is_whole = not any(faults_of(measurements.torques, measurements.sensors)
                        for _, measurements in observed)
-    findings = judged(replace(setup, parameters=setup.parameters.with_priors(given)), is_whole)
+    findings = judged(replace(setup, parameters=setup.parameters.with_priors(checked)), is_whole)
     return _result(findings, every if validate else [], accept, is_whole)
 
 
@@ -296,13 +296,11 @@ def _numbers(solution: Solution) -> _Numbers:
     shared = _Numbers([*parameters.names], parameters.values(solution.physics),
                       parameters.values(setup.given), parameters.scales,
                       np.eye(parameters.size))
-    inertia = parameters.columns(['inertia', 'inertia_diagonal'])
-    for vector in (shared.values, shared.guesses):
-        vector[inertia] += entries(setup.axial_tensor)[:len(inertia)]
-    if 'rotor_momentum' in parameters.groups:
-        columns = parameters.columns(['rotor_momentum'])
-        for vector in (shared.values, shared.guesses):
-            vector[columns] += setup.start(0).rotor_momentum
+    for groups, others in ((['inertia', 'inertia_diagonal'], entries(setup.axial_tensor)),
+                           (['rotor_momentum'], setup.start(0).rotor_momentum)):
+        columns = parameters.columns(groups)
+        shared.values[columns] += others[:len(columns)]
+        shared.guesses[columns] += others[:len(columns)]
     starts = [_start(solution, number)[1] for number in range(len(setup.problems))]
     names, *arrays, turns = zip(shared, *filter(None, starts))
     values, guesses, scales = map(np.concatenate, arrays)
@@ -337,21 +335,21 @@ def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
     """
     from scipy.linalg import block_diag
     setup = solution.problem.setup
-    given = setup.start(number)
-    momentum = given.rotor_momentum + solution.physics.value('rotor_momentum')
+    guess = setup.start(number)
+    momentum = guess.rotor_momentum + solution.physics.value('rotor_momentum')
     k = next(k for k, window in enumerate(solution.problem.windows)
              if window.experiment == number)
     if not solution.problem.windows[k].is_first or not setup.fits_start:
-        return replace(given, rotor_momentum=momentum), None
+        return replace(guess, rotor_momentum=momentum), None
     attitude, velocity = (solution.problem.reference.attitude[k],
                           solution.problem.reference.angular_velocity[k])
-    start = State(given.time_ns, attitude, velocity, momentum, given.wheel_speeds)
+    start = State(guess.time_ns, attitude, velocity, momentum, guess.wheel_speeds)
     ends = [f'.{axis}[{number + 1}]' if number else f'.{axis}' for axis in 'xyz']
     names = [f'initial_angular_velocity{end}' for end in ends]
-    values, guesses, scales, turn = (velocity, given.angular_velocity, np.full(3, setup.rate),
+    values, guesses, scales, turn = (velocity, guess.angular_velocity, np.full(3, setup.rate),
                                      np.eye(3))
     if setup.fits_attitude[number]:
-        turned = so3.difference(given.attitude, attitude)
+        turned = so3.difference(guess.attitude, attitude)
         names = [*(f'initial_attitude{end}' for end in ends), *names]
         values, guesses = np.append(turned, values), np.append(np.zeros(3), guesses)
         scales = np.append(np.ones(3), scales)

@@ -84,9 +84,9 @@ class Curves:
         """Thin a series of any length, and return its curves over the time since `start_ns`, s."""
         extremes = Extremes(values.shape[1])
         extremes.add(times_ns, values)
-        found = cls.of(extremes, names, start_ns, style=style)
-        return replace(found, gap=_GAP * float(np.median(np.diff(found.x)))) \
-            if len(found.x) > 1 else found
+        curves = cls.of(extremes, names, start_ns, style=style)
+        return replace(curves, gap=_GAP * float(np.median(np.diff(curves.x)))) \
+            if len(curves.x) > 1 else curves
 
     @classmethod
     def of(cls, extremes: Extremes, names: Sequence[str], start_ns: int, step: bool = False,
@@ -145,7 +145,7 @@ class Panel:
         """Return the panel as data for the page."""
         return {'label': self.label, 'unit': self.unit, 'xLabel': self.x_label,
                 'kind': self.kind, 'lines': dict(self.lines), 'texts': [*map(list, self.texts)],
-                'curves': [each.as_data() for each in self.curves]}
+                'curves': [curves.as_data() for curves in self.curves]}
 
 
 def _offsets(low: Floats, high: Floats) -> Floats:
@@ -159,5 +159,5 @@ def _offsets(low: Floats, high: Floats) -> Floats:
 
 def packed(values: ArrayLike, kind: type = np.float64) -> str:
     """Encode an array as little-endian bytes in base64, the format that the scripts decode."""
-    found = np.ascontiguousarray(values, np.dtype(kind).newbyteorder('<'))
-    return base64.b64encode(found.tobytes()).decode()
+    numbers = np.ascontiguousarray(values, np.dtype(kind).newbyteorder('<'))
+    return base64.b64encode(numbers.tobytes()).decode()

@@ -95,10 +95,9 @@ def _origin(report: Report) -> Rows:
     rows = [('command', report.command)] if report.command else []
     if report.scene:
         parameters = report.scene.parameters
-        given = {name: value for name, value in report.scene.values.items()
-                 if value != parameters[name].default}
-        rows.append(('scene', ', '.join(f'{name}: {_cut(value)}' for name, value
-                                        in given.items())))
+        rows.append(('scene', ', '.join(
+            f'{name}: {_cut(value)}' for name, value in report.scene.values.items()
+            if value != parameters[name].default)))
     versions = {'Python': platform.python_version(), **fingerprint()}
     return [*rows, ('versions', ', '.join(f'{name} {text}' for name, text in versions.items()))]
 

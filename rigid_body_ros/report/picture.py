@@ -99,7 +99,8 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
     if panel.kind in ('loglog', 'log'):
         axes.set_yscale('log', nonpositive='mask')
     shades = cycle((COLOURS[5], COLOURS[0]))
-    for number, curves in enumerate(sorted(panel.curves, key=lambda one: one.style == 'marks')):
+    for number, curves in enumerate(sorted(
+            panel.curves, key=lambda curves: curves.style == 'marks')):
         _draw_curves(axes, panel, curves, number, next(shades) if curves.style == 'band' else '')
     for (name, x), (colour, dashes) in zip(panel.lines.items(), cycle(
             (colour, dashes) for colour in _GREYS for dashes in STYLES)):
@@ -119,7 +120,7 @@ def _draw_curves(axes: Axes, panel: Panel, curves: Curves, number: int, shade: s
     markers = MARKERS[number % len(MARKERS)] if number < len(panel.texts) else ''
     # Noise is easier to see in thin, solid lines.
     thin = {'linewidth': 0.7, 'linestyle': '-'} if curves.style == 'line' and any(
-        one.style == 'limits' for one in panel.curves) else {}
+        others.style == 'limits' for others in panel.curves) else {}
     first = number if panel.texts else 0  # one curve for each of several settings
     if curves.style == 'marks':
         low, high = axes.get_ylim()
@@ -166,12 +167,12 @@ def _joined(curves: Curves, column: int, jump: float) -> tuple[Floats, Floats]:
 
 
 def _set_limits(axes: Axes, panel: Panel) -> None:
-    shown = [one for one in panel.curves if one.style != 'marks' and len(one.x)]
-    values = np.concatenate([[0.0], *(part.ravel() for one in shown
-                                      for part in (one.low, one.high))])
+    shown = [curves for curves in panel.curves if curves.style != 'marks' and len(curves.x)]
+    values = np.concatenate([[0.0], *(values.ravel() for curves in shown
+                                      for values in (curves.low, curves.high))])
     if panel.kind == 'linear' and shown:
-        axes.set_xlim(min(one.x[0] for one in shown), max(
-            1e-9, *(one.x[-1] for one in shown), *panel.lines.values()))
+        axes.set_xlim(min(curves.x[0] for curves in shown), max(
+            1e-9, *(curves.x[-1] for curves in shown), *panel.lines.values()))
         _label(axes.yaxis, panel.unit, values)
     else:
         axes.set_ylabel(panel.unit and f'({panel.unit})')

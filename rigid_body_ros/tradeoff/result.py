@@ -136,7 +136,7 @@ class Tradeoff:
             Whether to list all settings in the table, rather than only the Pareto-optimal ones.
 
         """
-        recommended = [line for target in self.choices for line in _recommended(self, target)]
+        recommended = [text for target in self.choices for text in _recommended(self, target)]
         return lines([*recommended, *_table(self, all_rows), '', *map(_pair, _facts(self))])
 
     def __str__(self) -> str:
@@ -145,9 +145,10 @@ class Tradeoff:
     def rows(self) -> Iterator[tuple[str, str]]:
         """Generate the result for each target, followed by the limits of accuracy."""
         for target, choice in self.choices.items():
-            aim, (name, text), *limits = _found(self, target)
             setting = f'{", ".join(choice.measurement.setting.parameters)}: ' if choice else ''
-            yield from (aim, (name, setting + text), *limits)
+            yield 'target', f'{target:.3g} rad'
+            yield 'recommended', setting + _expected(self, target)
+            yield from _limits(self, target)
         yield from _facts(self)
 
     def as_dict(self) -> dict[str, Any]:
@@ -212,23 +213,18 @@ class Tradeoff:
 
 
 def _recommended(result: Tradeoff, target: float) -> Iterator[str]:
+    """Generate the lines of the text about a target; the lines of its setting can be copied."""
     choice = result.choices[target]
-    aim, recommended, *limits = map(_pair, _found(result, target))
-    yield from (aim, f'{recommended}:' if choice else recommended)
-    if choice:
-        yield from (f'    {line}' for line in choice.measurement.setting.parameters)
-    yield from (*limits, '')
+    yield _pair(('target', f'{target:.3g} rad'))
+    yield _pair(('recommended', f'{_expected(result, target)}{":" if choice else ""}'))
+    yield from (f'    {line}' for line in choice.measurement.setting.parameters) if choice else ()
+    yield from (*map(_pair, _limits(result, target)), '')
 
 
-def _found(result: Tradeoff, target: float) -> list[tuple[str, str]]:
+def _expected(result: Tradeoff, target: float) -> str:
     choice = result.choices[target]
-    recommended = _expected(result, choice) if choice else \
-        f'none: no setting is certain to meet it, {_why(result, target)}'
-    return [('target', f'{target:.3g} rad'), ('recommended', recommended),
-            *_limits(result, target)]
-
-
-def _expected(result: Tradeoff, choice: Choice) -> str:
+    if not choice:
+        return f'none: no setting is certain to meet it, {_why(result, target)}'
     how = 'measured on the whole motion' if choice.measured else \
         'scaled from the measured beginning to the whole motion by the square of the time'
     speed = result.stretch.seconds / choice.measurement.seconds
