@@ -43,7 +43,7 @@ from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report.page import html
-from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, Setting
+from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, Setting, TARGET
 from rigid_body_ros.tradeoff.choices import OnWhole
 from rigid_body_ros.tradeoff.problem import Case, Reference
 from rigid_body_ros.tradeoff.problem import whole as whole_motion
@@ -449,6 +449,12 @@ def test_curves_follow_the_settings_and_end_at_the_rounding_floor():
         if solver in ('auto', 'taylor'):
             turns = np.diff(np.log(errors))
             assert turns.max() <= math.log(2.0)
+
+
+def test_the_help_states_the_default_target(capsys):
+    with pytest.raises(SystemExit):
+        main.attitude_tradeoff(['--help'])
+    assert f'(default: {TARGET:g})' in ' '.join(capsys.readouterr().out.split())
 
 
 def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():

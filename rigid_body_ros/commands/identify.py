@@ -73,6 +73,7 @@ def _identified(options: argparse.Namespace,
     """Identify parameters from all recordings; return the result and the first problem."""
     from rigid_body_ros.identification import identify
     from rigid_body_ros.identification.recorded import read_experiments
+    from rigid_body_ros.inference.coordinates import GRAVITY
     if not {'torque_gain', 'torque_gains'} & {*options.estimate}:
         arguments.warn_of_units(options, options.recording)
     experiments = read_experiments(options.recording, scene, arguments.reading_of(options))
@@ -82,8 +83,8 @@ def _identified(options: argparse.Namespace,
         fit = identify(
             scene.body, experiments, estimate=options.estimate,
             attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
-            validate=options.validate, priors=dict(options.prior), gravity=options.gravity,
-            accept=options.accept)
+            validate=options.validate, priors=dict(options.prior),
+            gravity=options.gravity or GRAVITY, accept=options.accept)
     return fit, experiments[0][0]
 
 
@@ -93,7 +94,6 @@ def _suffix(output: str | None) -> str:
 
 
 def _add_arguments(parser: Parser) -> None:
-    from rigid_body_ros.inference.coordinates import GRAVITY
     parser.add_argument('recording', metavar='RECORDING', nargs='+',
                         help='recording of torques and measurements, as for attitude_replay; '
                         'several recordings of the same body are fitted together. The torques of '
@@ -115,9 +115,9 @@ def _add_arguments(parser: Parser) -> None:
                         'the value in the scene or, if scenes have no such parameter, the value '
                         'that has no effect. For a parameter that is not estimated, this is its '
                         'plausible size as a suspect. The option may be repeated')
-    parser.add_argument('--gravity', type=float, nargs=3, default=GRAVITY,
-                        metavar=('X', 'Y', 'Z'), help='gravity acting on the estimated weight, '
-                        'm/s^2, space axes (default: 0 0 -9.80665)')
+    parser.add_argument('--gravity', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
+                        help='gravity acting on the estimated weight, m/s^2, space axes (default: '
+                        '0 0 -9.80665)')
     parser.add_argument('--accept', type=positive, metavar='PART',
                         help='reject the fit if the half-width of an interval exceeds this '
                         'fraction of the scale of its estimate; for the inertia, the scale is the '

@@ -32,7 +32,7 @@ from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import report
 
 if TYPE_CHECKING:
-    from rigid_body_ros.regress import Regression, Span
+    from rigid_body_ros.regress import Span
     from rigid_body_ros.scene import Scene
 
 #: The exit status if the controller's loop differs from the reference.
@@ -41,14 +41,23 @@ _SUFFIX = '.mcap'
 
 
 def _run(options: argparse.Namespace) -> int:
+    from rigid_body_ros.regress import compare, Session, update
+    from rigid_body_ros.regress.processes import private_domain
     from rigid_body_ros.regress.report import report_of
+    from rigid_body_ros.scene.parameters import LOCKSTEP
     with files.protected('scene', options.scene), \
             TemporaryDirectory(prefix='attitude_regress.') as folder:
         _check(options)
         with checked(options) as outputs:
-            from rigid_body_ros.scene.parameters import LOCKSTEP
-            scene = load_scene(options, mode=LOCKSTEP)
-            result, name = _compared(options, scene, Path(folder)), Path(options.reference).name
+            scene, place = load_scene(options, mode=LOCKSTEP), Path(folder)
+            wheels = tuple(wheel.name for wheel in scene.named_wheels)
+            session = Session(options.rest, partial(_node, options.command, scene),
+                              options.timeout, wheels)
+            with private_domain():
+                result = update(session, _span(options, wheels), place, options.tolerance) \
+                    if options.update else \
+                    compare(session, options.reference, place, options.tolerance)
+            name = Path(options.reference).name
             outputs.write_asked(scene, lambda: report_of(result, name, scene), result.as_dict)
         written = options.update and result.is_same
         if written:
@@ -72,18 +81,6 @@ def _check(options: argparse.Namespace) -> None:
         if Path(options.reference).exists():
             from rigid_body_ros.regress.loop import committed
             committed(options.reference)  # only a reference may be replaced
-
-
-def _compared(options: argparse.Namespace, scene: Scene, folder: Path) -> Regression:
-    from rigid_body_ros.regress import compare, Session, update
-    from rigid_body_ros.regress.processes import private_domain
-    wheels = tuple(wheel.name for wheel in scene.named_wheels)
-    session = Session(options.rest, partial(_node, options.command, scene), options.timeout,
-                      wheels)
-    with private_domain():
-        if options.update:
-            return update(session, _span(options, wheels), folder, options.tolerance)
-        return compare(session, options.reference, folder, options.tolerance)
 
 
 def _node(command: str, scene: Scene, logs: Collection[str]) -> Any:

@@ -67,7 +67,6 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
 
 
 def _add_arguments(parser: Parser) -> None:
-    from rigid_body_ros.tradeoff import TARGET
     parser.add_scene()
     parser.add_argument('--recording', metavar='IN', help='torque recording, as for '
                         'attitude_replay (default: 50 turns without torque)')
@@ -76,7 +75,7 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument('--target', type=within(1e-15, 1.0), action='append', metavar='RAD',
                         help='largest attitude error that the solver may have at any time during '
                         'the motion; the command reports the interpolation error between torque '
-                        f'samples separately; may be repeated (default: {TARGET:g})')
+                        'samples separately; may be repeated (default: 1e-06)')
     parser.add_argument('--all', action='store_true', help='print all settings, not only the '
                         'Pareto-optimal ones')
     parser.add_outputs(
