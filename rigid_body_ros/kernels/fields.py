@@ -213,13 +213,13 @@ class StepFields(NamedTuple):
 
 
 @optional
-def prepared(found: NDArray[Any], work: Floats, coefficients: Coefficients) -> Floats:
+def prepared(fields: NDArray[Any], work: Floats, coefficients: Coefficients) -> Floats:
     """
     Compute the matrix J^-1 [m]x of each uniform field once, for use in all steps.
 
     Parameters
     ----------
-    found : array of FIELDS, shape (1,), or None
+    fields : array of FIELDS, shape (1,), or None
         The fields of the scene.
     work : float64 (WORKSPACE,)
         The workspace in which to store the matrices.
@@ -234,8 +234,8 @@ def prepared(found: NDArray[Any], work: Floats, coefficients: Coefficients) -> F
     """
     a, b, c = coefficients[0][6:]
     inverse = from_columns(a, b, c)
-    for i in range(found[0].count):
-        x, y, z = times_cross(inverse, moment(found, i))
+    for i in range(fields[0].count):
+        x, y, z = times_cross(inverse, moment(fields, i))
         four.store(work, _MATRICES + PERMUTED * i, x)
         four.store(work, _MATRICES + PERMUTED * i + 4, y)
         four.store(work, _MATRICES + PERMUTED * i + 8, z)
@@ -243,13 +243,13 @@ def prepared(found: NDArray[Any], work: Floats, coefficients: Coefficients) -> F
 
 
 @optional
-def of_step(found: NDArray[Any], angle: DoubleDouble, work: Floats) -> StepFields:
+def of_step(fields: NDArray[Any], angle: DoubleDouble, work: Floats) -> StepFields:
     """
     Return the fields that act during a step, or None if there are no fields.
 
     The series of the returned fields do not contain any terms yet.
     """
-    return StepFields(found, angle, work)
+    return StepFields(fields, angle, work)
 
 
 @inlined
@@ -274,14 +274,14 @@ def begin(step: StepFields | None, state: KernelState, coefficients: Coefficient
     """
     if step is None:
         return 0.0
-    found, angle, vectors = step
+    fields, angle, vectors = step
     q, total = state[1], four.broadcast(0.0)
-    for i in range(found[0].count):
-        store_permuted(vectors, PERMUTED * i, to_body(q, field(found, i)))
+    for i in range(fields[0].count):
+        store_permuted(vectors, PERMUTED * i, to_body(q, field(fields, i)))
         total = _add_uniform(total, step, 0, i, 1.0, coefficients)
-    if found[0].mean_motion != 0.0:
-        position, along = orbit_at(found, angle)
-        place = PERMUTED * found[0].count
+    if fields[0].mean_motion != 0.0:
+        position, along = orbit_at(fields, angle)
+        place = PERMUTED * fields[0].count
         store_permuted(vectors, place, to_body(q, position))
         store_permuted(vectors, place + PERMUTED, to_body(q, along))
         total = _add_gradient(total, step, 0, 1.0, coefficients)
@@ -353,15 +353,15 @@ def add_acceleration(u: Vector, step: StepFields | None, table: Floats, k: int, 
     """
     if step is None:
         return u
-    found, vectors = step.fields, step.vectors
-    square, rate = seconds * seconds, found[0].mean_motion
-    for i in range(found[0].count):
+    fields, vectors = step.fields, step.vectors
+    square, rate = seconds * seconds, fields[0].mean_motion
+    for i in range(fields[0].count):
         u = _add_uniform(u, step, k, i, square, coefficients)
         if i > 0:
             _store(vectors, PERMUTED * i, k, turned(vectors, PERMUTED * i, _ORDER, table, k))
     if rate != 0.0:
         u = _add_gradient(u, step, k, square, coefficients)
-        _expand_orbit(vectors, found[0].count, rate * seconds, table, k)
+        _expand_orbit(vectors, fields[0].count, rate * seconds, table, k)
     return u
 
 
@@ -384,10 +384,10 @@ def _add_uniform(u: Vector, step: StepFields, k: int, i: int, square: float,
 def _add_gradient(u: Vector, step: StepFields, k: int, square: float,
                   coefficients: Coefficients) -> Vector:
     # Add the acceleration due to the gravity gradient, multiplied by the square of the step.
-    found, vectors = step.fields, step.vectors
-    rate = found[0].mean_motion
+    fields, vectors = step.fields, step.vectors
+    rate = fields[0].mean_motion
     gradient = euler_equations.gyroscopic_acceleration(
-        coefficients, _squares(vectors, PERMUTED * found[0].count, k))
+        coefficients, _squares(vectors, PERMUTED * fields[0].count, k))
     return add_scaled(u, -3.0 * (rate * rate) * square, gradient)
 
 
@@ -395,12 +395,12 @@ def _add_gradient(u: Vector, step: StepFields, k: int, square: float,
 def _squares(vectors: Floats, place: int, k: int) -> Products:
     # Return the order-k terms of the products of the components of a vector with each other. The
     # terms of the vector are stored at `place`.
-    one = other = four.broadcast(0.0)
+    mixed = squares = four.broadcast(0.0)
     for j in range(k + 1):
         r, yzx, _ = load_permuted(vectors, _ORDER * j + place)
         s, _, zxy = load_permuted(vectors, _ORDER * (k - j) + place)
-        one, other = four.fma(yzx, zxy, one), four.fma(r, s, other)
-    return one, other
+        mixed, squares = four.fma(yzx, zxy, mixed), four.fma(r, s, squares)
+    return mixed, squares
 
 
 @internal

@@ -102,21 +102,21 @@ class StepFriction(NamedTuple):
 
 
 @optional
-def states_of(found: Any, progress: NDArray[Any]) -> WheelStates:
+def states_of(friction: Any, progress: NDArray[Any]) -> WheelStates:
     """
     Return the packed states of a motion, or None if no wheel has friction.
 
     The argument `progress` is an array of `layout.PROGRESS`.
     """
-    return WheelStates(progress[0].grid, progress[0].begin, progress[0].latest, found.momenta)
+    return WheelStates(progress[0].grid, progress[0].begin, progress[0].latest, friction.momenta)
 
 
 @inlined
-def accept(found: RowFriction | None) -> None:
+def accept(friction: RowFriction | None) -> None:
     """Copy the latest wheel momenta to the grid state."""
-    if found is None:
+    if friction is None:
         return
-    _copy(found.states.latest, found.states.grid)
+    _copy(friction.states.latest, friction.states.grid)
 
 
 @inlined
@@ -152,17 +152,17 @@ def store(states: WheelStates | None, row: int) -> None:
 
 
 @inlined
-def momentum(found: RowFriction | None, others: Vector, low: Vector) -> tuple[Vector, Vector]:
+def momentum(friction: RowFriction | None, others: Vector, low: Vector) -> tuple[Vector, Vector]:
     """
     Return the sum of the wheel momenta on the grid and the momentum of the other rotors.
 
     Both the argument and the result consist of a momentum and its low-order part.
     """
-    if found is None:
+    if friction is None:
         return others, low
-    high, grid = others, found.states.grid
-    for k in range(found.efforts.shape[1]):
-        axis = _axis(found.wheels, k)
+    high, grid = others, friction.states.grid
+    for k in range(friction.efforts.shape[1]):
+        axis = _axis(friction.wheels, k)
         product = scale(grid[MOMENTA + k], axis)
         rest = add_scaled(four.negative(product), grid[MOMENTA + k], axis)
         high, lost = two_sum(high, product)
@@ -177,7 +177,7 @@ def _axis(wheels: Floats, k: int) -> Vector:
 
 
 @inlined
-def square_rate(found: RowFriction | None, frame: PrincipalFrame) -> float:
+def square_rate(friction: RowFriction | None, frame: PrincipalFrame) -> float:
     """
     Return the square, in 1/s^2, of a body rate that would limit the step as much as friction does.
 
@@ -185,39 +185,39 @@ def square_rate(found: RowFriction | None, frame: PrincipalFrame) -> float:
     factor of one half is the same as in `linear_terms.square_rate`.
     """
     largest = coupled = 0.0
-    if found is None:
+    if friction is None:
         return largest
-    for k in range(found.efforts.shape[1]):
+    for k in range(friction.efforts.shape[1]):
         place = k // 4 * SIZE + k % 4
-        friction = found.wheels[place + _FRICTION]
-        largest = max(largest, friction * found.wheels[place + _INVERSE])
-        coupled += friction / frame[0][0]
+        coefficient = friction.wheels[place + _FRICTION]
+        largest = max(largest, coefficient * friction.wheels[place + _INVERSE])
+        coupled += coefficient / frame[0][0]
     return 0.25 * (largest + coupled) * (largest + coupled)
 
 
 @inlined
-def acceleration(found: RowFriction | None, w: Vector, coefficients: Coefficients) -> float:
+def acceleration(friction: RowFriction | None, w: Vector, coefficients: Coefficients) -> float:
     """
     Return the magnitude of the body's acceleration due to the wheels, rad/s^2.
 
     The wheel momenta are those of the grid state.
     """
-    if found is None:
+    if friction is None:
         return 0.0
     torque = four.broadcast(0.0)
-    for place in range(0, found.efforts.shape[1], 4):
-        torque = add(torque, _along(found.wheels, place, _torques(found, w, place)))
+    for place in range(0, friction.efforts.shape[1], 4):
+        torque = add(torque, _along(friction.wheels, place, _torques(friction, w, place)))
     rate = euler_equations.acceleration_from_torque(coefficients, torque)
     return math.sqrt(dot(rate, rate))
 
 
 @inlined
-def _torques(found: RowFriction, w: Vector, place: int) -> Four:
+def _torques(friction: RowFriction, w: Vector, place: int) -> Four:
     # Return the torques on four wheels, computed from the wheel momenta of the grid state.
-    pull = _friction(found.wheels, place, w, four.load(found.states.grid, MOMENTA + place))
-    row = max(found.row, 0)
-    return add(pull, four.of(found.efforts[row, place], found.efforts[row, place + 1],
-                             found.efforts[row, place + 2], found.efforts[row, place + 3]))
+    pull = _friction(friction.wheels, place, w, four.load(friction.states.grid, MOMENTA + place))
+    row = max(friction.row, 0)
+    return add(pull, four.of(friction.efforts[row, place], friction.efforts[row, place + 1],
+                             friction.efforts[row, place + 2], friction.efforts[row, place + 3]))
 
 
 @inlined
@@ -242,19 +242,13 @@ def _along(wheels: Floats, place: int, amounts: Four) -> Vector:
 
 
 @optional
-def workspace(_found: RowFriction, work: Floats) -> Floats:
-    """Return the workspace, or None if there is no friction."""
-    return work
-
-
-@optional
-def of_step(found: RowFriction, work: Floats) -> StepFriction:
+def of_step(friction: RowFriction, work: Floats) -> StepFriction:
     """
     Return the wheels with friction for a step, or None if there is no friction.
 
     The series of the wheel momenta do not contain any terms yet.
     """
-    return StepFriction(found, work)
+    return StepFriction(friction, work)
 
 
 @inlined
@@ -262,12 +256,12 @@ def begin(step: StepFriction | None, state: KernelState, coefficients: Coefficie
     """Begin the series of the wheel momenta, and return the value that `acceleration` returns."""
     if step is None:
         return 0.0
-    found, series = step
+    friction, series = step
     store_permuted(series, _SUM, four.broadcast(0.0))
-    for place in range(0, found.efforts.shape[1], 4):
-        four.store(series, place, four.load(found.states.grid, MOMENTA + place))
-        four.store(series, _TORQUES + place, _torques(found, state[0], place))
-    return acceleration(found, state[0], coefficients)
+    for place in range(0, friction.efforts.shape[1], 4):
+        four.store(series, place, four.load(friction.states.grid, MOMENTA + place))
+        four.store(series, _TORQUES + place, _torques(friction, state[0], place))
+    return acceleration(friction, state[0], coefficients)
 
 
 @inlined
@@ -275,9 +269,9 @@ def weigh(step: StepFriction | None, angle: float, seconds: float) -> None:
     """Compute weights that make the wheel momenta comparable to the turn angle of the body."""
     if step is None:
         return
-    found, series = step
-    for k in range(found.efforts.shape[1]):
-        inverse = found.wheels[k // 4 * SIZE + k % 4 + _INVERSE]
+    friction, series = step
+    for k in range(friction.efforts.shape[1]):
+        inverse = friction.wheels[k // 4 * SIZE + k % 4 + _INVERSE]
         size = abs(series[k]) + seconds * abs(series[_TORQUES + k])
         speed = inverse * size + angle / seconds
         series[_WEIGHTS + k] = angle * inverse / speed if speed > 0.0 else 0.0
@@ -294,14 +288,14 @@ def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int
     """
     if step is None:
         return u
-    found, series = step
+    friction, series = step
     w = scale(1.0 / seconds, four.load(table, row_of(table, k) + U))
     factor, row = seconds * float(RECIPROCALS[k]), _ORDER * k
     torque = four.broadcast(0.0)
-    for place in range(0, found.efforts.shape[1], 4):
+    for place in range(0, friction.efforts.shape[1], 4):
         torques = four.load(series, _TORQUES + place) if k == 0 else \
-            _friction(found.wheels, place, w, four.load(series, row + place))
-        torque = add(torque, _along(found.wheels, place, torques))
+            _friction(friction.wheels, place, w, four.load(series, row + place))
+        torque = add(torque, _along(friction.wheels, place, torques))
         four.store(series, row + _ORDER + place, scale(factor, torques))
     # In body axes, the total wheel momentum changes because torques act and because the body
     # turns.
@@ -320,8 +314,8 @@ def with_momenta(size: float, step: StepFriction | None, k: int) -> float:
     """
     if step is None:
         return size
-    found, series = step
-    for place in range(0, found.efforts.shape[1], 4):
+    friction, series = step
+    for place in range(0, friction.efforts.shape[1], 4):
         size += total(four.multiply(four.load(series, _WEIGHTS + place), four.absolute(
             four.load(series, _ORDER * k + place))))
     return size
@@ -332,9 +326,9 @@ def end(step: StepFriction | None, order: int) -> None:
     """Sum the series of the wheel momenta up to an order, and store the latest wheel momenta."""
     if step is None:
         return
-    found, series = step
-    states = found.states
-    for place in range(0, found.efforts.shape[1], 4):
+    friction, series = step
+    states = friction.states
+    for place in range(0, friction.efforts.shape[1], 4):
         change = four.broadcast(0.0)
         for k in range(order, 0, -1):  # begin with the smallest terms
             change = add(change, four.load(series, _ORDER * k + place))
@@ -342,13 +336,3 @@ def end(step: StepFriction | None, order: int) -> None:
                                four.load(states.grid, LOST_MOMENTA + place), change)
         four.store(states.latest, MOMENTA + place, high)
         four.store(states.latest, LOST_MOMENTA + place, low)
-
-
-@inlined
-def lowest_order(step: StepFriction | None) -> int:
-    """
-    Return an upper bound on how many consecutive terms may be zero by coincidence.
-
-    `taylor.step` uses this bound so that it does not mistake such zeros for convergence.
-    """
-    return 0 if step is None else 1

@@ -297,7 +297,8 @@ def _advance_segment(group: Group, count: int, waiting: NDArray[np.intp], segmen
                     replace_at = min(replace_at, steps + _PATIENCE)
     for lane in range(LANES):
         if going[lane]:
-            _leave(group, lane, group.limits_ns[lane])
+            runs.store(group, lane)
+            group.progress[group.rows[lane]].grid_ns = _grid_ns(group, lane)
     return steps, taken
 
 
@@ -445,7 +446,7 @@ def _arrive(group: Group, lane: int, segment: Shared, method: Method) -> bool:
     # run is finished.
     row, limit_ns = group.rows[lane], group.limits_ns[lane]
     progress = group.progress[row]
-    grid_ns, done = _grid_ns(group, lane, limit_ns), progress.done
+    grid_ns, done = _grid_ns(group, lane), progress.done
     ends = limit_ns == segment.end_ns
     if _output_ns(done, segment) == limit_ns and (not ends or segment.end_ns < NEVER_NS):
         motion_layout.store_packed(group.work[runs.LATEST:, lane], _row(done, segment),
@@ -465,16 +466,9 @@ def _arrive(group: Group, lane: int, segment: Shared, method: Method) -> bool:
 
 
 @inlined
-def _grid_ns(group: Group, lane: int, limit_ns: int) -> int:
+def _grid_ns(group: Group, lane: int) -> int:
     # Return the time in ns of the state on the grid.
-    return limit_ns - int(group.work[runs.REST, lane])
-
-
-@inlined
-def _leave(group: Group, lane: int, limit_ns: int) -> None:
-    # Copy the state on the grid and its time back to the run.
-    runs.store(group, lane)
-    group.progress[group.rows[lane]].grid_ns = _grid_ns(group, lane, limit_ns)
+    return group.limits_ns[lane] - int(group.work[runs.REST, lane])
 
 
 @internal

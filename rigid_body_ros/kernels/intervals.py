@@ -251,14 +251,14 @@ def loads_of(terms: BodyTerms, row: int, span: float) -> Loads:
 
 
 @optional
-def _row_lags(found: layout.Lags, row: int) -> lags.RowLags:
-    return lags.RowLags(found.excess, found.time_constants, row)
+def _row_lags(term: layout.Lags, row: int) -> lags.RowLags:
+    return lags.RowLags(term.excess, term.time_constants, row)
 
 
 @optional
-def _row_friction(found: layout.Friction, row: int,
+def _row_friction(term: layout.Friction, row: int,
                   states: friction.WheelStates) -> friction.RowFriction:
-    return friction.RowFriction(found.efforts, found.wheels, row, states)
+    return friction.RowFriction(term.efforts, term.wheels, row, states)
 
 
 @inlined

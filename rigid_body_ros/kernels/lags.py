@@ -74,9 +74,9 @@ def excess(lags: RowLags, i: int, axes: int) -> vector.Vector:
 
     `axes` is 0 for body axes and 1 for space axes.
     """
-    found = lags.excess
-    return vector.of(found[lags.row, i, axes, 0], found[lags.row, i, axes, 1],
-                     found[lags.row, i, axes, 2])
+    excesses = lags.excess
+    return vector.of(excesses[lags.row, i, axes, 0], excesses[lags.row, i, axes, 1],
+                     excesses[lags.row, i, axes, 2])
 
 
 @inlined
@@ -237,19 +237,13 @@ class StepLags(NamedTuple):
 
 
 @optional
-def workspace(_found: RowLags, work: Floats) -> Floats:
-    """Return the workspace, or None if the scene has no lags."""
-    return work
-
-
-@optional
-def of_step(found: RowLags, since: float, work: Floats) -> StepLags:
+def of_step(lags: RowLags, since: float, work: Floats) -> StepLags:
     """
     Return the excesses that act during a step, or None if the scene has no lags.
 
     The series of the returned excesses do not contain any terms yet.
     """
-    return StepLags(found, since, work)
+    return StepLags(lags, since, work)
 
 
 @inlined
@@ -257,12 +251,12 @@ def begin(step: StepLags | None, state: vector.KernelState) -> None:
     """Store the first term of each excess's series, for a step that begins at the given state."""
     if step is None:
         return
-    found, since, vectors = step
-    for i in range(len(found.time_constants)):
-        factor = decay(since, found.time_constants[i])
-        four.store(vectors, _BODY + 4 * i, vector.scale(factor, excess(found, i, 0)))
+    lags, since, vectors = step
+    for i in range(len(lags.time_constants)):
+        factor = decay(since, lags.time_constants[i])
+        four.store(vectors, _BODY + 4 * i, vector.scale(factor, excess(lags, i, 0)))
         store_permuted(vectors, PERMUTED * i,
-                       vector.to_body(state[1], vector.scale(factor, excess(found, i, 1))))
+                       vector.to_body(state[1], vector.scale(factor, excess(lags, i, 1))))
 
 
 @inlined
@@ -275,13 +269,13 @@ def add_acceleration(u: vector.Vector, step: StepLags | None, table: Floats, k: 
     """
     if step is None:
         return u
-    found, vectors, torque = step.lags, step.vectors, four.broadcast(0.0)
-    for i in range(len(found.time_constants)):
-        factor = -seconds / found.time_constants[i] * float(RECIPROCALS[k])
+    lags, vectors, torque = step.lags, step.vectors, four.broadcast(0.0)
+    for i in range(len(lags.time_constants)):
+        factor = -seconds / lags.time_constants[i] * float(RECIPROCALS[k])
         term = four.load(vectors, _BODY + 4 * i)
         torque = vector.add(torque, term)
         four.store(vectors, _BODY + 4 * i, vector.scale(factor, term))
-        if vector.is_zero(excess(found, i, 1)):
+        if vector.is_zero(excess(lags, i, 1)):
             continue
         term = four.load(vectors, _ORDER * k + PERMUTED * i)
         torque = vector.add(torque, term)
@@ -301,13 +295,3 @@ def space_term(step: StepLags | None, k: int) -> vector.Vector:
         if not vector.is_zero(excess(step.lags, i, 1)):
             total = vector.add(total, four.load(step.vectors, _ORDER * k + PERMUTED * i))
     return total
-
-
-@inlined
-def lowest_order(step: StepLags | None) -> int:
-    """
-    Return an upper bound on how many consecutive terms may be zero by coincidence.
-
-    `taylor.step` uses this bound so that it does not mistake such zeros for convergence.
-    """
-    return 0 if step is None else 1

@@ -242,9 +242,9 @@ def begun(grid: Floats, grid_ns: int, begin: Floats, begin_ns: int, row: int,
 @internal
 def load_method(methods: NDArray[Any]) -> Method:
     """Return the contents of an array of METHOD as a `Method`."""
-    found = methods[0]
-    return Method(found.solver, found.fixed_step, found.closed_form_beyond, found.tolerance,
-                  found.angle, found.max_step_ns)
+    method = methods[0]
+    return Method(method.solver, method.fixed_step, method.closed_form_beyond, method.tolerance,
+                  method.angle, method.max_step_ns)
 
 
 @internal
@@ -288,8 +288,8 @@ def store_states(reached: GridStates, progress: NDArray[Any]) -> None:
 @inlined
 def load_place(progress: NDArray[Any]) -> Place:
     """Return how far the loop has advanced the motion, as stored in the progress record."""
-    found = progress[0]
-    return Place(found.grid_ns, found.begin_ns, found.row, found.done)
+    stored = progress[0]
+    return Place(stored.grid_ns, stored.begin_ns, stored.row, stored.done)
 
 
 @internal

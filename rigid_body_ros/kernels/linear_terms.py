@@ -85,13 +85,13 @@ def at(constants: Constants, momentum: Vector, low: Vector) -> Linear:
     h, low_h, minus_h, minus_low_h = momentum, low, four.negative(momentum), four.negative(low)
     yzx, low_yzx = four.yzx(h), four.yzx(low_h)
     zxy, low_zxy = four.zxy(h), four.zxy(low_h)
-    one, low_one = _diagonal((q, low_q), (zxy, low_zxy), (r, low_r),
+    x, low_x = _diagonal((q, low_q), (zxy, low_zxy), (r, low_r),
                              (four.yzx(minus_h), four.yzx(minus_low_h)), (d, low_d))
-    two, low_two = _diagonal((r, low_r), (h, low_h), (p, low_p),
+    y, low_y = _diagonal((r, low_r), (h, low_h), (p, low_p),
                              (four.zxy(minus_h), four.zxy(minus_low_h)), (e, low_e))
-    three, low_three = _diagonal((p, low_p), (yzx, low_yzx), (q, low_q),
+    z, low_z = _diagonal((p, low_p), (yzx, low_yzx), (q, low_q),
                                  (minus_h, minus_low_h), (f, low_f))
-    return Linear((one, two, three), (low_one, low_two, low_three))
+    return Linear((x, y, z), (low_x, low_y, low_z))
 
 
 @inlined
@@ -182,10 +182,10 @@ def multiple(factor: float, matrix: Matrix) -> Matrix:
 def scaled(linear: Linear, factor: float) -> Linear:
     """Return a matrix and its low-order part, both multiplied by a factor."""
     (x, y, z), (low_x, low_y, low_z) = linear
-    one, low_one = _scaled_diagonal(x, low_x, factor)
-    two, low_two = _scaled_diagonal(y, low_y, factor)
-    three, low_three = _scaled_diagonal(z, low_z, factor)
-    return Linear((one, two, three), (low_one, low_two, low_three))
+    x, low_x = _scaled_diagonal(x, low_x, factor)
+    y, low_y = _scaled_diagonal(y, low_y, factor)
+    z, low_z = _scaled_diagonal(z, low_z, factor)
+    return Linear((x, y, z), (low_x, low_y, low_z))
 
 
 @inlined

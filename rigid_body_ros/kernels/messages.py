@@ -141,41 +141,41 @@ def find_transforms(messages: RawMessages, is_list: bool, parent: Annotated[Byte
         messages are valid.
 
     """
-    (data, starts, sizes), found = messages, 0
+    (data, starts, sizes), filled = messages, 0
     for row in range(len(starts)):
         start, end = starts[row], starts[row] + sizes[row]
         if sizes[row] < 8 or data[start] != 0 or data[start + 1] > 1:
-            return found, row
+            return filled, row
         little, body = data[start + 1] == 1, start + 4
         offset, count = body, 1
         if is_list:
             offset, count = body + 4, _integer(data, body, 4, little)
         for _ in range(count):
             if offset + 8 > end:
-                return found, row
+                return filled, row
             seconds = _integer(data, offset, 4, little)
             rest = _integer(data, offset + 4, 4, little)
             if seconds >= 2 ** 31 or rest >= 10 ** 9:
-                return found, row
+                return filled, row
             offset, wanted = offset + 8, True
             for number in range(2):
                 offset += (body - offset) % 4
                 size = _integer(data, offset, 4, little) if offset + 4 <= end else 0
                 if size < 1 or size > end - offset - 4:
-                    return found, row
+                    return filled, row
                 name = parent if number == 0 else child
                 wanted = wanted and _is_name(data, offset + 4, size, name)
                 offset += 4 + size
             offset += (body - offset) % 8
             if offset + 8 * bits.shape[1] > end:
-                return found, row
+                return filled, row
             if wanted:
-                rows[found], stamps[found] = row, seconds * 10 ** 9 + rest
+                rows[filled], stamps[filled] = row, seconds * 10 ** 9 + rest
                 for k in range(bits.shape[1]):
-                    bits[found, k] = _integer(data, offset + 8 * k, 8, little)
-                found += 1
+                    bits[filled, k] = _integer(data, offset + 8 * k, 8, little)
+                filled += 1
             offset += 8 * bits.shape[1]
-    return found, -1
+    return filled, -1
 
 
 @njit

@@ -127,9 +127,9 @@ def turned(vectors: Floats, place: int, size: int, table: Floats, k: int) -> Vec
     terms up to order k are read from `vectors`, where they begin at `place` and are `size` doubles
     apart.
     """
-    one = other = four.zero(four.load(table, U))
+    left = right = four.zero(four.load(table, U))
     for j in range(k + 1):
         _, yzx, zxy = load_permuted(vectors, size * j + place)
         _, u_yzx, u_zxy = load_permuted(table, row_of(table, k - j) + U)
-        one, other = four.fma(yzx, u_zxy, one), four.fma(zxy, u_yzx, other)
-    return scale(float(RECIPROCALS[k]), four.subtract(one, other))
+        left, right = four.fma(yzx, u_zxy, left), four.fma(zxy, u_yzx, right)
+    return scale(float(RECIPROCALS[k]), four.subtract(left, right))

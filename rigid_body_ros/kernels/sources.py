@@ -58,9 +58,9 @@ def _words(node: Any) -> Iterator[str]:
             if name not in _SKIPPED:
                 yield from _words(value)
     elif isinstance(node, list):
-        for each in node:
-            if not (isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant)):
-                yield from _words(each)
+        for item in node:
+            if not (isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant)):
+                yield from _words(item)
         yield 'end'
     else:
         yield repr(node)

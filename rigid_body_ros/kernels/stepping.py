@@ -36,7 +36,7 @@ In return, a step guarantees the following:
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import (
@@ -205,10 +205,10 @@ def _local(loads: Loads, drive: Drive, grid: vector.KernelState, grid_ns: int, b
     # Return the linear terms of Euler's equations and the step limits that apply from a grid point
     # onward.
     orbit, lag_rate = fields.rate_bound(loads.fields), lags.square_rate(loads.lags)
-    lagged = lags.workspace(loads.lags, works[1])
+    lagged = _if_given(loads.lags, works[1])
     by_fields = fields.acceleration_bound(loads.fields, body.coefficients)
     prepared = fields.prepared(loads.fields, works[0], body.coefficients)
-    slowed = friction.workspace(loads.friction, works[2])
+    slowed = _if_given(loads.friction, works[2])
     if loads.linear_degree <= 0:
         linear = linear_terms.at(loads.constants, *friction.momentum(
             loads.friction, loads.momentum[0], loads.low_momentum))
@@ -229,6 +229,12 @@ def _local(loads: Loads, drive: Drive, grid: vector.KernelState, grid_ns: int, b
     return LocalLoads(momentum, linear,
                       linear_terms.square_rate(linear.matrix) + orbit * orbit + lag_rate,
                       growth / drive.span + by_fields, prepared, lagged, slowed)
+
+
+@optional
+def _if_given(_term: Any, work: Floats) -> Floats:
+    # Return the workspace of a term, or None if there is no such term.
+    return work
 
 
 @inlined
@@ -267,13 +273,13 @@ def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
 def _series_loads(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
                   seconds: float) -> taylor.SeriesLoads:
     # Return what acts besides the drive, in the form that a step of the series needs.
-    none = vector.of(0.0, 0.0, 0.0)
-    one = two = three = four = none, none, none
+    zero = vector.of(0.0, 0.0, 0.0)
+    none = zero, zero, zero
+    changes = none, none, none, none
     if loads.linear_degree > 0:
         _, b, c, d, e = stage.momentum
-        one, two = _change(loads.constants, seconds, b), _change(loads.constants, seconds, c)
-        three, four = _change(loads.constants, seconds, d), _change(loads.constants, seconds, e)
-    changes = one, two, three, four
+        changes = (_change(loads.constants, seconds, b), _change(loads.constants, seconds, c),
+                   _change(loads.constants, seconds, d), _change(loads.constants, seconds, e))
     return taylor.SeriesLoads(linear_terms.scaled(now.linear, seconds), changes,
                               loads.linear_degree, stage.space_torque, loads.space_degree,
                               fields.of_step(loads.fields, stage.field_angle,

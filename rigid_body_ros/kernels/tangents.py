@@ -151,14 +151,14 @@ class SeriesStep(NamedTuple):
 
 
 @inlined
-def least_order(found: Tangents | None, size: float | None) -> int | None:
+def least_order(tangents: Tangents | None, size: float | None) -> int | None:
     """
     Return the order from which on linear terms contribute less than rounding errors.
 
     The series of a body at rest ends at once, but rotors and fields turn its tangents. In a step,
     they do so by `size`, rad.
     """
-    if found is None:
+    if tangents is None:
         return None
     order, term = 0, 1.0
     if size is None:
@@ -170,7 +170,7 @@ def least_order(found: Tangents | None, size: float | None) -> int | None:
 
 
 @inlined
-def follow(found: Tangents | None, state: KernelState, step: SeriesStep,
+def follow(tangents: Tangents | None, state: KernelState, step: SeriesStep,
            coefficients: Coefficients, drive: taylor.SeriesDrive,
            loads: taylor.SeriesLoads | None) -> None:
     """
@@ -178,7 +178,7 @@ def follow(found: Tangents | None, state: KernelState, step: SeriesStep,
 
     Parameters
     ----------
-    found : Tangents or None
+    tangents : Tangents or None
         None does nothing.
     state : KernelState
         The state at the beginning of the step.
@@ -190,39 +190,39 @@ def follow(found: Tangents | None, state: KernelState, step: SeriesStep,
         What acts during the step. There must be no friction.
 
     """
-    if found is None:
+    if tangents is None:
         return
     is_stiff = drive.in_space
     if loads is not None:
         is_stiff = is_stiff or loads.space_degree >= 0 or loads.fields is not None
     if is_stiff:
         for k in range(step.order):
-            _expand_stiffness(found.stiffness[_STIFFNESS * k:_STIFFNESS * (k + 1)], step.table, k,
-                              coefficients, drive, loads)
-    forcing, groups = found.derivatives.forcing, len(found.derivatives.have_constants)
-    size = 3 * len(forcing.links) * found.rows
+            terms = tangents.stiffness[_STIFFNESS * k:_STIFFNESS * (k + 1)]
+            _expand_stiffness(terms, step.table, k, coefficients, drive, loads)
+    forcing, groups = tangents.derivatives.forcing, len(tangents.derivatives.have_constants)
+    size = 3 * len(forcing.links) * tangents.rows
     for i in range(groups):
         end = len(forcing.vectors) - size * (groups - i - 1)
         vectors = forcing.vectors[max(end - size, 0):max(end, 0)]
-        has_forcing = len(vectors) > 0 and found.row >= 0
+        has_forcing = len(vectors) > 0 and tangents.row >= 0
         if has_forcing:
-            _begin_forcing(vectors, found, step.since, state)
-        _extend(found, i, has_forcing, is_stiff, step, coefficients, loads)
+            _begin_forcing(vectors, tangents, step.since, state)
+        _extend(tangents, i, has_forcing, is_stiff, step, coefficients, loads)
 
 
 @inlined
-def enter(found: Tangents, row: int, state: KernelState, coefficients: Coefficients) -> None:
+def enter(tangents: Tangents, row: int, state: KernelState, coefficients: Coefficients) -> None:
     """Add the impulses of a row, which begins at the given state."""
-    impulses = found.derivatives.forcing.impulses
-    groups = len(found.derivatives.have_constants)
-    size = 6 * found.rows
+    impulses = tangents.derivatives.forcing.impulses
+    groups = len(tangents.derivatives.have_constants)
+    size = 6 * tangents.rows
     for i in range(groups):
         end = len(impulses) - size * (groups - i - 1)
         if end > 0:
             place = end - size + 6 * row
             change = acceleration_from_torque(coefficients, add(
                 _load(impulses, place), _to_body(state, _load(impulses, place + 3))))
-            _store(found.latest, SIZE * i + RATE, add(_load(found.latest, SIZE * i + RATE),
+            _store(tangents.latest, SIZE * i + RATE, add(_load(tangents.latest, SIZE * i + RATE),
                                                       change))
 
 
@@ -237,10 +237,10 @@ def _to_body(state: KernelState, vector: Vector) -> Vector:
 
 
 @internal
-def _begin_forcing(vectors: Floats, found: Tangents, since: float, state: KernelState) -> None:
+def _begin_forcing(vectors: Floats, tangents: Tangents, since: float, state: KernelState) -> None:
     # Store the vectors of the row in force at the beginning of a step, in body axes.
-    links = found.derivatives.forcing.links
-    start = 3 * len(links) * found.row
+    links = tangents.derivatives.forcing.links
+    start = 3 * len(links) * tangents.row
     for j in range(len(links)):
         total, factor, last = _load(vectors, start + 3 * j), 1.0, j
         while links[last, 1] != 0.0:
@@ -251,16 +251,16 @@ def _begin_forcing(vectors: Floats, found: Tangents, since: float, state: Kernel
             total = scale(elementary.exponential(links[j, 0] * since), total)
         if links[j, 2] != 0.0:
             total = _to_body(state, total)
-        _store(found.work, WORKSPACE + 3 * j, total)
+        _store(tangents.work, WORKSPACE + 3 * j, total)
 
 
 @internal
-def _extend(found: Tangents, group: int, has_forcing: bool, is_stiff: bool, step: SeriesStep,
+def _extend(tangents: Tangents, group: int, has_forcing: bool, is_stiff: bool, step: SeriesStep,
             coefficients: Coefficients, loads: taylor.SeriesLoads | None) -> None:
     # Advance the tangents of a group.
-    work, derivatives = found.work, found.derivatives
+    work, derivatives = tangents.work, tangents.derivatives
     table, order, seconds, _ = step
-    latest = found.latest[SIZE * group:SIZE * group + SIZE]
+    latest = tangents.latest[SIZE * group:SIZE * group + SIZE]
     constants = derivatives.constants[CONSTANTS * group:CONSTANTS * group + CONSTANTS]
     for k in range(3):
         lanes.store(work, RATE + k, seconds * lanes.load(latest, RATE + k))
@@ -269,14 +269,14 @@ def _extend(found: Tangents, group: int, has_forcing: bool, is_stiff: bool, step
         mixed, squares, turn = _products(work, table, k, coefficients.form)
         torque = of(lanes.zero(mixed[0]), 0.0, 0.0)
         if has_forcing:
-            torque = scale(seconds * seconds, _expand_forcing(found, table, k, seconds))
+            torque = scale(seconds * seconds, _expand_forcing(tangents, table, k, seconds))
         if derivatives.have_constants[group]:
             torque = add(torque, _of_constants(constants, work, table, k, seconds))
-            torque = add(torque, _of_fields(constants, found, k, seconds, loads))
+            torque = add(torque, _of_fields(constants, tangents, k, seconds, loads))
         rate = add(gyroscopic_acceleration(coefficients, (mixed, squares)),
                    acceleration_from_torque(coefficients, torque))
         if is_stiff:
-            rate = add_scaled(rate, seconds * seconds, _stiff(work, found.stiffness, k))
+            rate = add_scaled(rate, seconds * seconds, _stiff(work, tangents.stiffness, k))
         rate = _with_linear_terms(rate, work, k, loads)
         reciprocal = float(RECIPROCALS[k])
         _store(work, _ORDER * (k + 1) + RATE, scale(reciprocal, rate))
@@ -323,9 +323,9 @@ def _products(work: Floats, table: Floats, k: int,
 
 
 @internal
-def _expand_forcing(found: Tangents, table: Floats, k: int, seconds: float) -> Vector:
+def _expand_forcing(tangents: Tangents, table: Floats, k: int, seconds: float) -> Vector:
     # Return the order-k term of dtau, and store the next terms of its vectors.
-    work, links = found.work, found.derivatives.forcing.links
+    work, links = tangents.work, tangents.derivatives.forcing.links
     size = 3 * len(links)
     total = of(lanes.zero(lanes.load(work, 0)), 0.0, 0.0)
     for j in range(len(links)):
@@ -433,10 +433,10 @@ def _of_constants(constants: Floats, work: Floats, table: Floats, k: int,
 
 
 @inlined
-def _of_fields(constants: Floats, found: Tangents, k: int, seconds: float,
+def _of_fields(constants: Floats, tangents: Tangents, k: int, seconds: float,
                loads: taylor.SeriesLoads | None) -> Vector:
     # Return the order-k term of what the derivatives of constants contribute through fields.
-    total = of(lanes.zero(lanes.load(found.work, 0)), 0.0, 0.0)
+    total = of(lanes.zero(lanes.load(tangents.work, 0)), 0.0, 0.0)
     if loads is None:
         return total
     if loads.fields is None:
@@ -446,7 +446,7 @@ def _of_fields(constants: Floats, found: Tangents, k: int, seconds: float,
                                   fields.uniform_term(loads.fields, k, i)))
     rate = loads.fields.fields[0].mean_motion
     if rate != 0.0:
-        total = add_scaled(total, 3.0 * rate * rate, _gradient(constants, found.stiffness, k))
+        total = add_scaled(total, 3.0 * rate * rate, _gradient(constants, tangents.stiffness, k))
     return scale(seconds * seconds, total)
 
 

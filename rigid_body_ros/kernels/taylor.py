@@ -235,9 +235,9 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients,
     # requires, and return this order.
     polynomial, degree, in_space, _ = drive
     zero = four.zero(state[0])
-    one = add(zero, four.of(0.0, 0.0, 0.0, 1.0))
+    identity = add(zero, four.of(0.0, 0.0, 0.0, 1.0))
     first = latest = store_term(
-        table, 0, without_fourth(table, scale(seconds, state[0])), one)
+        table, 0, without_fourth(table, scale(seconds, state[0])), identity)
     if in_space:
         for i in range(degree + 1):
             store_permuted(table, TORQUES + PERMUTED * i, to_body(state[1], polynomial[i]))
@@ -301,9 +301,10 @@ def _cauchy(table: Floats, k: int, first: Term, latest: Term, form: int,
     turn = fields.no_turn(vectors)
     row = row_of(table, k)
     for j in range(row_of(table, 1), row, row_of(table, 1)):
-        one = load_term(table, row - j)
-        sums = _add_term(sums, one, components(table, row - j, one[0]), load_term(table, j), form)
-        turn = fields.add_turn(turn, vectors, j // row_of(table, 1), one[1], one[2])
+        term = load_term(table, row - j)
+        sums = _add_term(sums, term, components(table, row - j, term[0]), load_term(table, j),
+                         form)
+        turn = fields.add_turn(turn, vectors, j // row_of(table, 1), term[1], term[2])
     if k > 0:
         sums = _add_term(sums, first, first[0], latest, form)
         turn = fields.add_turn(turn, vectors, k, first[1], first[2])
@@ -367,8 +368,8 @@ def _lowest_order(degree: int, loads: SeriesLoads | None) -> int:
     if loads is None:
         return degree
     return max(degree, loads.space_degree, loads.linear_degree,
-               fields.lowest_order(loads.fields), lags.lowest_order(loads.lags),
-               friction.lowest_order(loads.friction))
+               fields.lowest_order(loads.fields), 0 if loads.lags is None else 1,
+               0 if loads.friction is None else 1)
 
 
 @inlined

@@ -69,11 +69,11 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
         The tensor is singular.
 
     """
-    j, one = _integers(tensor)
+    j, unit = _integers(tensor)
     return _solved(j, [
-        [j[1][1] - j[2][2], j[0][1], -j[0][2], 0, -j[1][2], j[1][2], one, 0, 0],
-        [-j[0][1], j[2][2] - j[0][0], j[1][2], j[0][2], 0, -j[0][2], 0, one, 0],
-        [j[0][2], -j[1][2], j[0][0] - j[1][1], -j[0][1], j[0][1], 0, 0, 0, one],
+        [j[1][1] - j[2][2], j[0][1], -j[0][2], 0, -j[1][2], j[1][2], unit, 0, 0],
+        [-j[0][1], j[2][2] - j[0][0], j[1][2], j[0][2], 0, -j[0][2], 0, unit, 0],
+        [j[0][2], -j[1][2], j[0][0] - j[1][1], -j[0][1], j[0][1], 0, 0, 0, unit],
     ])
 
 
@@ -103,8 +103,8 @@ def _integers(entries: NDArray[Any]) -> tuple[list[list[int]], int]:
     # of two. Computing with integers is much faster than with Fractions, because Python reduces
     # every Fraction to lowest terms. Python also rounds quotients of integers correctly.
     ratios = [[entry.as_integer_ratio() for entry in row] for row in entries.tolist()]
-    one = max(below for row in ratios for _, below in row)
-    return [[above * (one // below) for above, below in row] for row in ratios], one
+    common = max(below for row in ratios for _, below in row)
+    return [[above * (common // below) for above, below in row] for row in ratios], common
 
 
 def _solved(tensor: list[list[int]], right: list[list[int]]) -> Floats:
