@@ -435,7 +435,7 @@ class TestPropagator:
         for number in range(0, 36_000, 3):
             propagator.at(EPOCH_NS + number * SECOND // 10)
         assert max(spans) < 2 * SECOND
-        assert len(propagator._history.changes[0].active.segment._grid_ns) < 20
+        assert len(propagator._history.changes[0].motions[0].segment._grid_ns) < 20
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [

@@ -41,7 +41,7 @@ from rigid_body_ros.live.events import (
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.run import Run
 from rigid_body_ros.live.torque_queue import Queued, TorqueQueue
-from rigid_body_ros.propagation.segment import BODY, COMMANDS, WHEELS
+from rigid_body_ros.propagation.sources import BODY, COMMANDS, WHEELS
 
 TUMBLER = scene.load(CONFIG / 'tumbler.yaml')
 START = replace(TUMBLER.start, time_ns=100 * SECOND)

@@ -49,9 +49,9 @@ from rigid_body_ros.live.events import IMPOSSIBLE, RejectedError
 from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.run import Run
 from rigid_body_ros.propagation import Integration, integration
-from rigid_body_ros.propagation.segment import BODY as SOURCE
-from rigid_body_ros.propagation.segment import COMMANDS
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
+from rigid_body_ros.propagation.sources import BODY as SOURCE
+from rigid_body_ros.propagation.sources import COMMANDS
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.scene import Scene
 import terms

@@ -42,7 +42,7 @@ from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.propagation.segment import WHEELS
+from rigid_body_ros.propagation.sources import WHEELS
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured, not_measured
 

@@ -26,7 +26,7 @@ from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation import Propagator
-from rigid_body_ros.propagation.segment import BODY, COMMANDS, Sample, WHEELS
+from rigid_body_ros.propagation.sources import BODY, COMMANDS, Sample, WHEELS
 from rigid_body_ros.scene import Scene
 
 #: How much later than possible a state may be committed, s and ns.

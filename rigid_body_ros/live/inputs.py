@@ -36,7 +36,7 @@ from rigid_body_ros.mechanics.frames import Frame, OffAxisError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation.options import FASTEST
-from rigid_body_ros.propagation.segment import BODY, COMMANDS, WHEELS
+from rigid_body_ros.propagation.sources import BODY, COMMANDS, WHEELS
 from rigid_body_ros.scene import Scene
 
 #: Largest angular acceleration that a torque may cause, rad/s^2. At this acceleration, a body at

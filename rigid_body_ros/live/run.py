@@ -27,7 +27,8 @@ from rigid_body_ros.live import events
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.propagation.segment import COMMANDS, OutOfTimeError
+from rigid_body_ros.propagation.segment import OutOfTimeError
+from rigid_body_ros.propagation.sources import COMMANDS
 from rigid_body_ros.scene import Scene
 
 #: The queue depth of each log topic, and therefore the largest number of messages in one burst.

@@ -23,9 +23,9 @@ from typing import Any, NamedTuple
 from rclpy.node import Node
 from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.propagation.segment import BODY as BODY
-from rigid_body_ros.propagation.segment import COMMANDS as COMMANDS
-from rigid_body_ros.propagation.segment import WHEELS as WHEELS
+from rigid_body_ros.propagation.sources import BODY as BODY
+from rigid_body_ros.propagation.sources import COMMANDS as COMMANDS
+from rigid_body_ros.propagation.sources import WHEELS as WHEELS
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parameters import LOCKSTEP
 

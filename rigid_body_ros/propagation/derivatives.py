@@ -40,8 +40,8 @@ from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.propagation import forcing
 from rigid_body_ros.propagation.inputs import MotionInputs
 from rigid_body_ros.propagation.integration import Integration
-from rigid_body_ros.propagation.lags import no_lags, terms_of
 from rigid_body_ros.propagation.options import checked_times
+from rigid_body_ros.propagation.timeline import no_lags, terms_of
 from rigid_body_ros.propagation.trajectory import Derivatives
 
 

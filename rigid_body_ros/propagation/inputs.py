@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.actuator import Actuator, Actuators, actuators_of
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import BodyLog
@@ -35,6 +34,7 @@ from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.origin import rest_ns_of
+from rigid_body_ros.propagation.timeline import on_body
 from rigid_body_ros.propagation.wheels import check_named, without_wheels
 
 #: A log of the torque on the rotors, or a sequence of named wheels.
@@ -109,8 +109,8 @@ class MotionInputs:
         """Return the sources that lag; None if no source lags."""
         if not self.actuators:
             return None
-        return LaggingSources(self.acting_logs, self.actuators, self.options.timeout_ns,
-                              self._lags_from_ns) or None
+        return LaggingSources.of(self.acting_logs, self.actuators, self.options.timeout_ns,
+                                 self._lags_from_ns)
 
     @property
     def _lags_from_ns(self) -> int:
@@ -241,13 +241,8 @@ class MotionInputs:
             The result includes the torque of the fields, but not the torque on the rotors.
 
         """
-        total = np.zeros((len(times_ns), 3))
-        for log in self.acting_logs:
-            torque, in_space = log.at(times_ns, self.options.timeout_ns)
-            total += np.where(in_space[:, None], so3.rotate(so3.conjugate(attitude), torque),
-                              torque)
-        if lagging := self.lagging():
-            total += lagging.excess_torque(times_ns, attitude)
+        total = on_body([log.at(times_ns, self.options.timeout_ns) for log in self.acting_logs],
+                        self.lagging(), times_ns, attitude)
         return total + self.field_torque(times_ns, attitude) if self.fields else total
 
     def field_torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:

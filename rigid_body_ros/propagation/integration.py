@@ -29,7 +29,6 @@ from rigid_body_ros.mechanics.changes import changed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Axial
 from rigid_body_ros.propagation.inputs import Same
-from rigid_body_ros.propagation.lags import with_momenta
 from rigid_body_ros.propagation.models import SolverUsage
 from rigid_body_ros.propagation.options import checked_times
 from rigid_body_ros.propagation.origin import origin_of
@@ -158,21 +157,13 @@ class Integration(Generic[Same]):
         within the segment.
         """
         problem, start_ns = self.problem, self._start.time_ns
-        found = self._timeline.held(row)
-        if found is None:
-            return None
-        torque, in_space, others = found
-        lagging = self._others.lagging
-        acts = torque.any() or any(other.any() for other in others)
+        timeline, timeout_ns = self._timeline, problem.options.timeout_ns
         # A torque whose stamp is the start begins a new segment, even if this torque equals the
         # previous one.
-        begins = any((log.segments(problem.options.timeout_ns)[0] == start_ns).any()
-                     for log in self._sources) and (acts or self._timeline.has_terms)
-        if lagging and not others.pop().any():
-            lagging = None
-        key = [*([lagging.key(start_ns)] if lagging else []), *self._timeline.key(row)]
-        return None if begins else problem.options.rule(
-            self._carrier, problem._fields, torque, in_space, *others, *key)
+        begins = any((log.segments(timeout_ns)[0] == start_ns).any() for log in self._sources)
+        if begins and (timeline.has_terms or (row >= 0 and timeline.acts()[row])):
+            return None
+        return timeline.rule(problem.options, self._carrier, row, start_ns)
 
     def extend(self, problem: Same) -> None:
         """
@@ -341,7 +332,10 @@ class Integration(Generic[Same]):
             progress['done'] = 0
         for first, end, rows in self._timeline.chunks(progress['row'], stop):
             if rows.terms and rows.terms.friction:
-                rows, momenta = with_momenta(rows, times_ns.size)
+                friction = rows.terms.friction
+                momenta = np.empty((times_ns.size, friction.efforts.shape[1]))
+                rows = rows._replace(terms=rows.terms._replace(
+                    friction=friction._replace(momenta=momenta)))
             if self._is_begun or end - first < len(closed) - 1:
                 progress['row'] -= first
                 progress['stop'] = end - first

@@ -12,93 +12,43 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The torques of actuators with a lag, and the terms of wheels with friction."""
+"""The torques of actuators with a lag."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import CommandChanges, FIELDS, Friction, kernels, Lags, Rows, Terms
-from rigid_body_ros.mechanics import so3
+from rigid_body_ros.engine import CommandChanges, kernels, Lags
 from rigid_body_ros.mechanics.actuator import Actuator, time_constants
 from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.propagation.sources import Sample
 
-_NO_FIELDS = np.zeros(1, FIELDS)
-_NO_FIELDS.flags.writeable = False
-#: The torque of a source that has not received a command yet, in the form of `Lagging.torque`: the
-#: high-order part, then the low-order part. Both parts are zero.
+#: The torque of a source that has not received a command yet; see `CommandChanges.torques`.
 _AT_REST = np.zeros((2, 6))
-
-
-class Lagging(NamedTuple):
-    """
-    A source that lags, from one change of its command to the next.
-
-    `command`, N m, has shape (2, 3). The first row is in body axes, and the second row is in space
-    axes. At least one of the two rows is zero. `torque`, N m, has shape (2, 6), and its rows are
-    in the same axes as those of `command`. The first three columns are the torque at the change,
-    and the last three columns are the low-order part of this torque.
-    """
-
-    since_ns: int
-    command: Floats
-    torque: Floats
-
-    @property
-    def key(self) -> Floats:
-        """
-        Return all numbers that describe the source.
-
-        The time `since_ns` is split into seconds and nanoseconds, so that no digits of the time
-        are lost.
-        """
-        return np.array([*divmod(self.since_ns, 10 ** 9), *self.command.flat, *self.torque.flat])
-
-    def at(self, time_ns: int, command: Floats, actuator: Actuator) -> Lagging:
-        """Return the record of this source after its command has changed at `time_ns`."""
-        source = CommandChanges(np.array([self.since_ns, time_ns]),
-                                np.stack([self.command, command]),
-                                np.stack([self.torque, self.torque]))
-        kernels.add_lag(_NO_TIMES, source, actuator.time_constant, actuator.expiry_ns, 0,
-                        _NO_EXCESS)
-        return Lagging(time_ns, command, source.torques[1])
-
-
+_AT_REST.setflags(write=False)
 _NO_TIMES, _NO_EXCESS = np.empty(0, np.int64), np.empty((0, 0, 2, 3))
 
 
-def command_of(torque: Floats, in_space: bool) -> Floats:
-    """Return a torque in the form of `Lagging.command`."""
-    result = np.zeros((2, 3))
-    result[int(in_space)] = torque
-    return result
-
-
-def first_of(time_ns: int, command: Floats) -> Lagging:
-    """
-    Return the record of a source whose torque is zero at a given time.
-
-    The time is the start of the source's first command or the start of the motion.
-    """
-    return Lagging(time_ns, command, _AT_REST)
-
-
-class Changes(NamedTuple):
-    """The commands of one source. Each command is held until the next change."""
+class LaggingSource(NamedTuple):
+    """A source that lags. Each of its commands is held until the next change."""
 
     actuator: Actuator
     times_ns: NDArray[np.int64]
-    #: The commands in the form of `Lagging.command`, shape (n, 2, 3).
+    #: The commands, N m, shape (n, 2, 3): each in body axes and in space axes, one of them zero.
     commands: Floats
+    #: The torque at the first change, N m, shape (2, 6); see `CommandChanges.torques`.
+    torque: Floats = _AT_REST
     #: Whether the first command took effect before the torque was at rest.
-    is_clipped: bool
+    is_clipped: bool = False
 
     @classmethod
-    def of(cls, log: TorqueLog, actuator: Actuator, timeout_ns: int, rest_ns: int) -> Changes:
+    def of(cls, log: TorqueLog, actuator: Actuator, timeout_ns: int,
+           rest_ns: int) -> LaggingSource:
         """Return the changes, from `rest_ns` onward, in a log that `Actuator.acting` returned."""
         times_ns, samples = log.segments(timeout_ns)
         first = max(int(times_ns.searchsorted(rest_ns, 'right')) - 1, 0)
@@ -107,12 +57,49 @@ class Changes(NamedTuple):
         commands = np.zeros((len(times_ns), 2, 3))
         acts = np.flatnonzero(samples >= 0)
         commands[acts, log.in_space[samples[acts]].astype(int)] = log.torques[samples[acts]]
-        return cls(actuator, times_ns, commands, is_clipped)
+        return cls(actuator, times_ns, commands, is_clipped=is_clipped)
 
-    def moving(self) -> Changes:
+    def add(self, times_ns: NDArray[np.int64], which: int, into: Floats) -> Floats:
+        """
+        Add the excess at given times to the array `into`, in the place of a time constant.
+
+        The excess is the torque minus the command. The method returns the torque at each change,
+        N m, shape (n, 2, 6).
+        """
+        torques = np.empty((len(self.times_ns), 2, 6))
+        torques[:1] = self.torque
+        kernels.add_lag(times_ns, CommandChanges(self.times_ns, self.commands, torques),
+                        self.actuator.time_constant, self.actuator.expiry_ns, which, into)
+        return torques
+
+    def then(self, time_ns: int, command: Floats) -> LaggingSource:
+        """Return the source from a change of its only command onward."""
+        if time_ns == self.times_ns[0] and np.array_equal(command, self.commands[0]):
+            return self
+        changed = self._replace(times_ns=np.append(self.times_ns, time_ns),
+                                commands=np.stack([self.commands[0], command]))
+        torques = changed.add(_NO_TIMES, 0, _NO_EXCESS)
+        return self._replace(times_ns=changed.times_ns[1:], commands=changed.commands[1:],
+                             torque=torques[1])
+
+    def moving(self) -> LaggingSource:
         """Return the changes that a delay moves: not that of a clipped command."""
         return self._replace(commands=self.commands - self.commands[:1]) if self.is_clipped \
             else self
+
+    def ends_ns(self) -> NDArray[np.int64]:
+        """Return the times at which lags end, leaving out those that a change cuts short, ns."""
+        over_ns = self.times_ns + self.actuator.expiry_ns
+        return over_ns[np.append(over_ns[:-1] < self.times_ns[1:], True)[:len(over_ns)]]
+
+    def key(self, time_ns: int) -> list[float]:
+        """Return all numbers that determine the torque from a time until the next change."""
+        row = int(self.times_ns.searchsorted(time_ns, 'right')) - 1
+        if row < 0:
+            return []
+        torque = self.add(_NO_TIMES, 0, _NO_EXCESS)[row] if row else self.torque
+        # The time is split into seconds and nanoseconds, so that no digits of it are lost.
+        return [*divmod(int(self.times_ns[row]), 10 ** 9), *self.commands[row].flat, *torque.flat]
 
 
 class LaggingSources:
@@ -121,31 +108,65 @@ class LaggingSources:
 
     Parameters
     ----------
-    logs : sequence of TorqueLog
-        The commands of all sources, delayed and limited.
-    actuators : sequence of Actuator or None
-        The actuators of all sources.
-    timeout_ns : int
-        See `TorqueLog.segments`.
-    rest_ns : int, ns
-        The time at which the lagging torques are zero.
-
-    Attributes
-    ----------
-    marks_ns : array of int64, ns
-        The times at which the lag of a command ends, ascending.
+    time_constants : sequence of float, s
+        The time constants of the sources, each once.
+    sources : mapping of int to LaggingSource
+        The sources, by number, in order.
 
     """
 
-    def __init__(self, logs: Sequence[TorqueLog], actuators: Sequence[Actuator | None],
-                 timeout_ns: int, rest_ns: int) -> None:
-        self._time_constants = np.array(time_constants(actuators))
-        self._sources = [Changes.of(log, each, timeout_ns, rest_ns)
-                         for log, each in zip(logs, actuators) if each and each.expiry_ns]
-        self.marks_ns = np.unique(np.concatenate([_NO_TIMES, *map(_marks, self._sources)]))
+    def __init__(self, time_constants: Sequence[float],
+                 sources: Mapping[int, LaggingSource]) -> None:
+        self._time_constants, self._sources = time_constants, sources
 
-    def __bool__(self) -> bool:
-        return bool(self._sources)
+    @classmethod
+    def of(cls, logs: Sequence[TorqueLog], actuators: Sequence[Actuator | None],
+           timeout_ns: int, rest_ns: int) -> LaggingSources | None:
+        """
+        Return the sources that lag; None if no source lags.
+
+        Parameters
+        ----------
+        logs : sequence of TorqueLog
+            The commands of all sources, delayed and limited.
+        actuators : sequence of Actuator or None
+            The actuators of all sources.
+        timeout_ns : int
+            See `TorqueLog.segments`.
+        rest_ns : int, ns
+            The time at which the lagging torques are zero.
+
+        """
+        sources = {k: LaggingSource.of(log, actuator, timeout_ns, rest_ns)
+                   for k, (log, actuator) in enumerate(zip(logs, actuators))
+                   if actuator and actuator.expiry_ns}
+        return cls(time_constants(actuators), sources) if sources else None
+
+    def under(self, samples: Mapping[int, Sample], time_ns: int, timeout_ns: int,
+              rest_ns: int) -> LaggingSources:
+        """
+        Return the sources, each with a single command, under the samples in force at a time.
+
+        At this time, samples take effect or time out.
+        """
+        sources = {}
+        for source, sample in sorted(samples.items()):
+            if sample.actuator and sample.actuator.expiry_ns:
+                is_over = sample.is_over(time_ns, timeout_ns)
+                since_ns = max(sample.begins_ns + timeout_ns * is_over, rest_ns)
+                command = np.zeros((2, 3))
+                if not is_over:
+                    command[int(sample.in_space)] = sample.applied[0]
+                before = self._sources.get(source)
+                sources[source] = before.then(since_ns, command) if before else LaggingSource(
+                    sample.actuator, np.array([since_ns]), command[None])
+        return LaggingSources(self._time_constants, sources)
+
+    @cached_property
+    def marks_ns(self) -> NDArray[np.int64]:
+        """Return the times at which the lag of a command ends, ns, ascending."""
+        return np.unique(np.concatenate([
+            _NO_TIMES, *(source.ends_ns() for source in self._sources.values())]))
 
     def excess(self, times_ns: NDArray[np.int64]) -> Floats:
         """
@@ -153,50 +174,39 @@ class LaggingSources:
 
         See `layout.Lags.excess` for the shape.
         """
-        return self._excess(times_ns, self._sources)
+        return self._excess(times_ns, self._sources.values())
 
     def moving_excess(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the part of `excess` that a delay of the commands moves."""
-        return self._excess(times_ns, [source.moving() for source in self._sources])
+        return self._excess(times_ns, [source.moving() for source in self._sources.values()])
 
-    def _excess(self, times_ns: NDArray[np.int64], sources: Sequence[Changes]) -> Floats:
-        result = np.zeros((len(times_ns), len(self._time_constants), 2, 3))
+    def _excess(self, times_ns: NDArray[np.int64], sources: Iterable[LaggingSource]) -> Floats:
+        excess = np.zeros((len(times_ns), len(self._time_constants), 2, 3))
         for source in sources:
-            which = int(np.flatnonzero(self._time_constants == source.actuator.time_constant)[0])
-            _add(source, times_ns, which, result)
-        return result
+            source.add(times_ns, self._time_constants.index(source.actuator.time_constant), excess)
+        return excess
 
     def slopes(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the derivatives of the torques with respect to their time constants, N m/s."""
         every_ns = np.unique(np.concatenate([
-            times_ns, self.marks_ns, *(source.times_ns for source in self._sources)]))
+            times_ns, self.marks_ns, *(source.times_ns for source in self._sources.values())]))
         excess = self.excess(every_ns)
-        found = np.zeros_like(excess)
-        kernels.lag_slopes(every_ns, excess, self._time_constants, found)
-        found[excess == 0.0] = 0.0  # what is left of a lag that is over
-        return found[every_ns.searchsorted(times_ns)]
+        slopes = np.zeros_like(excess)
+        kernels.lag_slopes(every_ns, excess, np.array(self._time_constants), slopes)
+        slopes[excess == 0.0] = 0.0  # what is left of a lag that is over
+        return slopes[every_ns.searchsorted(times_ns)]
 
     def key(self, time_ns: int) -> Floats:
         """Return an array of all numbers that determine the torques until the next change."""
-        found = [np.empty(0)]
-        for source in self._sources:
-            row = int(source.times_ns.searchsorted(time_ns, 'right')) - 1
-            if row >= 0:
-                torques = _add(source, _NO_TIMES, 0, _NO_EXCESS)
-                found.append(Lagging(int(source.times_ns[row]), source.commands[row],
-                                     torques[row]).key)
-        return np.concatenate(found)
+        return np.array([number for source in self._sources.values()
+                         for number in source.key(time_ns)])
 
-    def excess_torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
-        """
-        Return the total excess (torques minus commands) in body axes, N m, shape (m, 3).
-
-        The excess is computed at m times and attitudes.
-        """
+    def total_excess(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the sum over all time constants of `excess` at any times, shape (m, 2, 3)."""
         order = np.argsort(times_ns, kind='stable')
-        sums = np.empty((len(times_ns), 2, 3))
-        sums[order] = self.excess(times_ns[order]).sum(axis=1)
-        return sums[:, 0] + so3.rotate(so3.conjugate(attitude), sums[:, 1])
+        total = np.empty((len(times_ns), 2, 3))
+        total[order] = self.excess(times_ns[order]).sum(axis=1)
+        return total
 
     def impulses(self, times_ns: NDArray[np.int64]) -> Floats:
         """
@@ -213,59 +223,10 @@ class LaggingSources:
             Each integral has a row in body axes and a row in space axes.
 
         """
-        seconds, constants = np.diff(times_ns)[:, None] / 1e9, self._time_constants
+        seconds, constants = np.diff(times_ns)[:, None] / 1e9, np.array(self._time_constants)
         integrals = -constants * np.expm1(-seconds / constants)
         return np.einsum('nl,nlij->nij', integrals, self.excess(times_ns[:-1]))
 
     def lags(self, times_ns: NDArray[np.int64]) -> Lags:
         """Return the lags, as the kernels need them, for rows that begin at given times."""
-        return Lags(self.excess(times_ns), self._time_constants)
-
-
-def terms_of(momentum: Floats, motors: Floats, space: Floats, fields: NDArray[Any] | None,
-             lags: Lags | None, friction: Friction | None) -> Terms:
-    """Return the terms for rows with fields, lags or friction; see `layout.Terms`."""
-    if friction is not None and lags is None:
-        lags = no_lags(len(friction.efforts))
-    if lags is not None and fields is None:
-        fields = _NO_FIELDS
-    return Terms(momentum, motors, space, fields, lags, friction)
-
-
-def no_lags(count: int) -> Lags:
-    """Return the lags of a number of rows in which nothing lags."""
-    return Lags(np.zeros((count, 0, 2, 3)), np.empty(0))
-
-
-def _add(changes: Changes, times_ns: NDArray[np.int64], which: int, into: Floats) -> Floats:
-    """
-    Add the excess of one source at given times to the array `into`.
-
-    The excess is the torque minus the command. The function returns the torque at each change, in
-    the form of `Lagging.torque`.
-    """
-    torques = np.zeros((len(changes.times_ns), 2, 6))
-    kernels.add_lag(times_ns, CommandChanges(changes.times_ns, changes.commands, torques),
-                    changes.actuator.time_constant, changes.actuator.expiry_ns, which, into)
-    return torques
-
-
-def _marks(changes: Changes) -> NDArray[np.int64]:
-    """Return the times at which lags end, ns, leaving out lags that the next change cuts short."""
-    over_ns = changes.times_ns + changes.actuator.expiry_ns
-    return over_ns[np.append(over_ns[:-1] < changes.times_ns[1:], True)[:len(over_ns)]]
-
-
-def with_momenta(rows: Rows, count: int) -> tuple[Rows, Floats]:
-    """Add to rows an array for the wheel momenta at `count` outputs; return rows and array."""
-    terms = rows.terms
-    assert terms
-    assert terms.friction
-    momenta = np.empty((count, terms.friction.efforts.shape[1]))
-    friction = terms.friction._replace(momenta=momenta)
-    return rows._replace(terms=terms._replace(friction=friction)), momenta
-
-
-def friction_key(friction: Friction, row: int = 0) -> Floats:
-    """Return an array of all numbers that determine the friction in a row, for use as a key."""
-    return np.concatenate([friction.efforts[row], friction.wheels])
+        return Lags(self.excess(times_ns), np.array(self._time_constants))

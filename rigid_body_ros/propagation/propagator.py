@@ -25,18 +25,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, NEVER_NS
-from rigid_body_ros.mechanics.actuator import Actuators
+from rigid_body_ros.mechanics.actuator import Actuator, Actuators, time_constants
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import checked_keep, RATE
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import all_finite, State
 from rigid_body_ros.mechanics.torque import FRAMES
 from rigid_body_ros.mechanics.wheels import Wheel, Wheels
-from rigid_body_ros.propagation.acting import ActingSamples
-from rigid_body_ros.propagation.history import History
+from rigid_body_ros.propagation.history import History, NewBody
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import with_rest
-from rigid_body_ros.propagation.segment import COMMANDS, NewBody, Sample, WHEELS
+from rigid_body_ros.propagation.sources import COMMANDS, Sample, WHEELS
+from rigid_body_ros.propagation.timeline import on_body
 from rigid_body_ros.propagation.wheels import check_named, Commands, momenta_of, without_wheels
 
 
@@ -87,8 +87,11 @@ class Propagator:
             check_named(self._wheels, None, fields)
         else:
             start = without_wheels(start)
-        self._acting = ActingSamples(actuator, self._options.timeout_ns, start.time_ns)
-        self._history = History(body, start, self._options, self._acting, self._wheels,
+        actuators = [actuator] if isinstance(actuator, Actuator) else [*(actuator or ())]
+        self._actuator = actuator if any(actuators) else None
+        self._longest_delay_ns = max((unit.delay_ns for unit in actuators if unit), default=0)
+        self._time_constants = time_constants(actuators)
+        self._history = History(body, start, self._options, self._time_constants, self._wheels,
                                 packed(beginning_at(fields, start.time_ns)), self.history_ns)
 
     @property
@@ -107,7 +110,20 @@ class Propagator:
 
     def delay_ns(self, source: int) -> int:
         """Return the delay between the stamp of a source's torque and its effect, ns."""
-        return self._acting.delay_ns(source)
+        actuator = self._actuator_of(source)
+        return actuator.delay_ns if actuator else 0
+
+    def _actuator_of(self, source: int) -> Actuator | None:
+        """Return the actuator of a source, or None; raise ValueError for an unknown source."""
+        actuators = self._actuator
+        if source >= COMMANDS or actuators is None:
+            return None
+        if isinstance(actuators, Actuator):
+            return actuators
+        if source >= len(actuators):
+            raise ValueError(f'source: expected a number from 0 to {len(actuators) - 1}, because '
+                             f'there are {len(actuators)} actuators, found {source}')
+        return actuators[source]
 
     def body_at(self, time_ns: int) -> NewBody:
         """Return the body at a given time. The first body has the stamp -NEVER_NS."""
@@ -125,7 +141,7 @@ class Propagator:
 
         Stamps before `earliest_ns` have been discarded and are not returned.
         """
-        delay_ns = self._acting.longest_delay_ns
+        delay_ns = self._longest_delay_ns
         changes = self._history.between(after_ns, until_ns + delay_ns)
         if not delay_ns:
             return [change.time_ns for change in changes]
@@ -138,7 +154,7 @@ class Propagator:
         return [*self._history.changes[index].samples.items(), *(
             (source, sample) for change in self._history.changes[index + 1:]
             for source, sample in change.samples.items()
-            if sample.stamp_ns + self._acting.delay_ns(source) == change.time_ns)]
+            if sample.begins_ns == change.time_ns)]
 
     def commands_at(self, time_ns: int) -> Commands:
         """
@@ -318,10 +334,10 @@ class Propagator:
         Commands before `earliest_ns` have been discarded and are not counted.
         """
         self._history.compute(max(self._history.index_of(until_ns), 0))
-        return sum(int(change.active.axial.refused.sum())
+        return sum(int(axial.refused.sum())
                    for change in self._history.between(after_ns, until_ns)
-                   if change.active and change.active.axial
-                   and change.commands.stamp_ns == change.time_ns)
+                   if change.commands.stamp_ns == change.time_ns
+                   and (axial := change.motions[0].axial))
 
     def at(self, time_ns: int, within: float = math.inf) -> State:
         """
@@ -357,7 +373,7 @@ class Propagator:
                              f'found {time_ns} ns')
         segment, axial = self._history.active(index, time_ns, until)
         state = segment.state_at(time_ns, until)
-        if self._acting.lag:
+        if self._time_constants:
             state = with_rest(state, self._start_ns)
         if self._wheels and axial:
             return self._wheels.shown(state, axial, momenta_of(axial, state))
@@ -377,7 +393,10 @@ class Propagator:
         time_ns = state.time_ns
         index = max(self._history.index_of(time_ns), 0)
         segment, _ = self._history.active(index, time_ns, math.inf)
-        return self._acting.torque(self._history.changes[index].samples, segment.lagging, state)
+        torques = [(sample.applied, np.array([sample.in_space]))
+                   for source, sample in sorted(self._history.changes[index].samples.items())
+                   if source != WHEELS and not sample.is_over(time_ns, self._options.timeout_ns)]
+        return on_body(torques, segment.others.lagging, np.array([time_ns]), state.attitude)[0]
 
     def _checked_torque(self, time_ns: int, torque: ArrayLike) -> Floats:
         values = np.array(torque, float).reshape(1, -1)
@@ -398,8 +417,12 @@ class Propagator:
         return checked_ns
 
     def _apply(self, time_ns: int, source: int, torque: Floats, in_space: bool) -> bool:
-        index = self._history.inserted(time_ns, self._acting.delay_ns(source))
+        actuator, begins_ns, applied = None, time_ns, torque
+        if self._actuator and (actuator := self._actuator_of(source)):
+            begins_ns, applied = time_ns + actuator.delay_ns, actuator.limited(torque)
+        index = self._history.inserted(time_ns, begins_ns - time_ns)
         if index is None:
             return False
-        self._history.put(index, Sample(time_ns, torque, in_space), source)
+        self._history.put(
+            index, Sample(time_ns, torque, in_space, begins_ns, applied, actuator), source)
         return True

@@ -17,104 +17,23 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Mapping
-import sys
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import Friction, kernels, Lags, layout, motion_layout, Terms
+from rigid_body_ros.engine import Friction, kernels, layout, motion_layout, Sums
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.propagation.lags import friction_key, Lagging, terms_of
+from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of
-from rigid_body_ros.propagation.summation import added, momentum_at
-from rigid_body_ros.propagation.timeline import held_row
+from rigid_body_ros.propagation.sources import acts, momentum_at
+from rigid_body_ros.propagation.timeline import beginning_at, OtherTorques, rows_of, rule_of
 
-#: The source numbers of wheel commands, of the torque on the rotors, and of bodies. These are the
-#: largest possible numbers, so that these sources come after all others.
-COMMANDS, WHEELS, BODY = sys.maxsize - 2, sys.maxsize - 1, sys.maxsize
 #: Outputs of the loop that are never read, because a segment uses only the loop's latest state.
 _UNUSED = motion_layout.allocate(1), np.empty(2, np.bool_)
-_NONE = np.zeros((1, 3))
-_NOTHING_LAGS: Mapping[int, Lagging] = {}
-
-
-class Sample(NamedTuple):
-    """A torque from one source, N m, shape (1, 3)."""
-
-    stamp_ns: int
-    torque: Floats
-    in_space: bool
-
-
-class NewBody(NamedTuple):
-    """
-    A body that takes over at a stamp.
-
-    `keep` names the quantity that stays the same at the change; see `BodyLog`.
-    """
-
-    stamp_ns: int
-    body: RigidBody
-    keep: str
-    #: The body without the axial inertia of the named wheels. Without named wheels, the body
-    #: itself.
-    carrier: RigidBody
-
-
-class Sum(NamedTuple):
-    """The total torques from all sources, N m, shape (1, 3); see `layout.Rows`."""
-
-    torque: Floats
-    in_space: bool
-    space: Floats = _NONE
-    motors: Floats = _NONE
-    #: `lagging` contains the sources that lag, and `lags` the torques of these sources minus their
-    #: commands.
-    lagging: Mapping[int, Lagging] = _NOTHING_LAGS
-    lags: Lags | None = None
-
-    @property
-    def others(self) -> tuple[Floats, ...]:
-        """Return the torques in space axes and on the rotors, or () if both torques are zero."""
-        # Most motions have neither of these torques, and checking arrays of zeros takes a tenth of
-        # the time of a short segment.
-        if self.space is self.motors or not (self.space.any() or self.motors.any()):
-            return ()
-        return self.space, self.motors
-
-    def is_zero(self) -> bool:
-        """Return whether no torque acts."""
-        return not (any(self.torque[0].tolist()) or self.others
-                    or (self.lags is not None and self.lags.excess.any()))
-
-
-def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int,
-           of_named: Floats | None = None) -> Sum:
-    """
-    Return the sum of the samples that have not timed out, added in the order of the sources.
-
-    `of_named` is the total motor torque on the named wheels, N m, shape (1, 3).
-    """
-    groups: tuple[list[Floats], ...] = [], [], []
-    body, space, motors = groups
-    if of_named is not None:
-        motors.append(of_named)
-    for source in sorted(samples):
-        stamp_ns, torque, in_space = samples[source]
-        if not 0 < timeout_ns <= time_ns - stamp_ns:
-            (motors if source == WHEELS else space if in_space else body).append(torque)
-    if not (space or motors):
-        return Sum(added(body), False)
-    total, on_rotors = added(body), added(motors)
-    total = total - on_rotors
-    if not total.any():  # no torque acts in body axes, so store the torque in space axes instead
-        return Sum(added(space), bool(space), _NONE, on_rotors)
-    return Sum(total, False, added(space), on_rotors)
 
 
 class OutOfTimeError(TimeoutError):
@@ -126,26 +45,31 @@ class OutOfTimeError(TimeoutError):
         self.reached_ns = reached_ns
 
 
+def torque_acts(sums: Sums, lagging: LaggingSources | None) -> bool:
+    """Return whether any torque acts in a single row."""
+    return any(sums.torques.ravel().tolist()) or acts(sums.space) or acts(sums.motors) or (
+        lagging is not None and bool(lagging.excess(sums.times_ns).any()))
+
+
 class Segment:
     """The motion under constant torques, with the grid points reached so far."""
 
     def __init__(self, body: RigidBody, options: Options, history_ns: int, start: State,
-                 total: Sum, fields: NDArray[Any] | None = None,
-                 friction: Friction | None = None) -> None:
-        #: The sources that lag.
-        self.lagging, lags = total.lagging, total.lags
-        has_terms = fields is not None or friction is not None or (
-            body.is_damped or start._has_rotors)
-        self.coasts = total.is_zero() and not has_terms
-        self.body, self._options, self._history_ns = body, options, history_ns
-        key = [np.concatenate([each.key for each in self.lagging.values()])] \
-            if lags is not None and lags.excess.any() else []
-        if friction is not None:
-            key.append(friction_key(friction))
-        others = (total.space, total.motors) if key else total.others
-        self._rule = options.rule(body, fields, total.torque, total.in_space, *others, *key)
+                 sums: Sums, others: OtherTorques, friction: Friction | None = None) -> None:
+        self.body, self.others = body, others
+        self._options, self._history_ns = options, history_ns
+        has_motors = acts(sums.motors)
+        has_terms = body.is_damped or start._has_rotors or has_motors or (
+            friction is not None or others.fields is not None)
+        #: Whether neither torques nor rotors, damping, fields or friction act.
+        self.coasts = not (has_terms or torque_acts(sums, others.lagging))
+        momentum = start._rotors[None] if has_terms else sums.momentum
+        rows = rows_of(sums, momentum, has_terms, has_motors, others, friction)
+        self._rule = rule_of(options, body, rows, 0, start.time_ns, others)
         origin = origin_of(start, self._rule)
-        self._rotors = origin.rotors
+        if origin.begin_ns != start.time_ns:
+            rows = beginning_at(rows, origin.begin_ns, origin.rotors, others.lagging)
+        self._rows, self._rotors = rows, origin.rotors
         self._grid_ns, self._states = [origin.begin_ns], [origin.begin]
         if origin.grid_ns != origin.begin_ns:
             self._grid_ns.append(origin.grid_ns)
@@ -153,22 +77,15 @@ class Segment:
         #: Four values: the time and the state that were computed last, then the time and the state
         #: of the last grid point before that time.
         self._latest = origin.begin_ns, origin.begin, origin.begin_ns, origin.begin
-        terms = None
-        if friction is not None or lags is not None or fields is not None:
-            terms = terms_of(origin.rotors[None], total.motors[None], total.space[None], fields,
-                             lags, friction)
-        elif has_terms or others:
-            terms = Terms(origin.rotors[None], total.motors[None], total.space[None])
-        self._rows = held_row(origin.begin_ns, total.torque, total.in_space, terms)
 
     def state_at(self, time_ns: int, until: float) -> State:
         """Return the state at a time; raise TimeoutError or ValueError as `Propagator.at` does."""
-        packed, grid_ns, grid = self._found(time_ns, until)
+        packed, grid_ns, grid = self._computed(time_ns, until)
         return State._as_computed(time_ns, packed, Origin(
             self._rule, self._grid_ns[0], self._states[0], grid_ns, grid, self._rotors),
             self._rotors_at(time_ns))
 
-    def _found(self, time_ns: int, until: float) -> tuple[Floats, int, Floats]:
+    def _computed(self, time_ns: int, until: float) -> tuple[Floats, int, Floats]:
         """Return the state at a time, and the time and the state of the last grid point."""
         begin_ns, begin = self._grid_ns[0], self._states[0]
         if time_ns == begin_ns:
@@ -219,7 +136,7 @@ class Segment:
 
         The new segment begins even if no torque changes.
         """
-        return State._as_computed(time_ns, self._found(time_ns, until)[0], None,
+        return State._as_computed(time_ns, self._computed(time_ns, until)[0], None,
                                   self._rotors_at(time_ns))
 
     def _discard_grid_points(self, horizon_ns: int) -> None:

@@ -30,7 +30,7 @@ from rigid_body_ros.mechanics.fields import Field, GravityGradient
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.mechanics.wheels import Axial, Wheels
-from rigid_body_ros.propagation.summation import momentum_at, summed
+from rigid_body_ros.propagation.sources import momentum_at, summed
 
 _NO_TIMES = np.empty(0, np.int64)
 

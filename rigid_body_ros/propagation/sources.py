@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The sum of several torque logs, and the momentum of the rotors.
+The torques of several sources, their sum, and the momentum of the rotors.
 
 The sum changes whenever one of its sources changes. Torques are added in the order of the sources,
 so the order in which the torques arrive does not change any bit of the sum.
@@ -21,19 +21,60 @@ so the order in which the torques arrive does not change any bit of the sum.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import reduce
 from itertools import accumulate
+import sys
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import kernels, Samples, Sums
+from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.torque import TorqueLog
 
+#: The source numbers of wheel commands, of the torque on the rotors, and of bodies. These are the
+#: largest possible numbers, so that these sources come after all others.
+COMMANDS, WHEELS, BODY = sys.maxsize - 2, sys.maxsize - 1, sys.maxsize
 #: The sum of no torques. Adding it to a torque does not change any bit of the torque.
 _NOTHING = np.full((1, 3), -0.0)
 _NO_MARKS = np.empty(0, np.int64)
+#: The arrays for more rows than this share a block of memory; see `_allocated`.
+_FEW = 100
+#: What a row holds for torques of a kind that there are not; see `acts`.
+_NO_TORQUE, _NO_MOMENTUM = np.zeros((1, 1, 3)), np.zeros((1, 2, 3))
+_IN_BODY, _IN_SPACE = np.array([False]), np.array([True])
+for _constant in (_NO_TORQUE, _NO_MOMENTUM, _IN_BODY, _IN_SPACE):
+    _constant.setflags(write=False)
+
+
+class Sample(NamedTuple):
+    """A torque from one source, N m, shape (1, 3)."""
+
+    stamp_ns: int
+    torque: Floats
+    in_space: bool
+    #: When the actuator of the source applies the torque, and the torque within its limits.
+    begins_ns: int
+    applied: Floats
+    actuator: Actuator | None = None
+
+    def is_over(self, time_ns: int, timeout_ns: int) -> bool:
+        """Return whether the torque has timed out at a given time."""
+        return 0 < timeout_ns <= time_ns - self.begins_ns
+
+    def due_ns(self, timeout_ns: int, rest_ns: int) -> Iterator[int]:
+        """Yield the times at which the torque times out and at which its lags end."""
+        over_ns, expiry_ns = self.begins_ns + timeout_ns, 0
+        if timeout_ns:
+            yield over_ns
+        if self.actuator and (expiry_ns := self.actuator.expiry_ns):
+            if timeout_ns:
+                yield max(over_ns, rest_ns) + expiry_ns
+            end_ns = max(self.begins_ns, rest_ns) + expiry_ns
+            if not timeout_ns or end_ns < over_ns:
+                yield end_ns
 
 
 def summed(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeout_ns: int,
@@ -69,7 +110,37 @@ def summed(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeou
                    _NO_MARKS if marks_ns is None else marks_ns)
 
 
-def added(torques: Sequence[Floats]) -> Floats:
+def summed_at(time_ns: int, samples: Mapping[int, Sample], timeout_ns: int,
+              on_wheels: Floats | None) -> Sums:
+    """
+    Return the sum of the samples in force at a given time, as a single row, as `summed` does.
+
+    The rotor momentum of the row is zero. The array `on_wheels`, N m, shape (1, 3), is the total
+    motor torque on named wheels.
+    """
+    body: list[Floats] = []
+    space: list[Floats] = []
+    motors = [] if on_wheels is None else [on_wheels]
+    for source in sorted(samples):
+        sample = samples[source]
+        if not (timeout_ns and sample.is_over(time_ns, timeout_ns)):
+            (motors if source == WHEELS else space if sample.in_space else body).append(
+                sample.applied)
+    times_ns = np.array([time_ns])
+    if motors or (body and space):
+        return _row_by_row(times_ns, [body, space, motors], _NO_MOMENTUM[0])
+    # The usual case, in which there is nothing to combine, takes a third of the time.
+    return Sums(times_ns, _IN_SPACE if space else _IN_BODY, _added(space or body)[None],
+                _NO_TORQUE, _NO_TORQUE, _NO_MOMENTUM)
+
+
+def acts(torque: Floats) -> bool:
+    """Return whether a part of `Sums` is not zero."""
+    # Checking arrays of zeros takes a tenth of the time of a short segment.
+    return torque is not _NO_TORQUE and bool(torque.any())
+
+
+def _added(torques: Sequence[Floats]) -> Floats:
     """Return the sum, N m, shape (n, 3) or (1, 3), of torques added in the order given."""
     return reduce(np.add, torques) if torques else _NOTHING
 
@@ -107,11 +178,16 @@ def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], sta
     first = int(np.searchsorted(stamps_ns, start_ns, 'right')) - 1
     times_ns = np.append(start_ns, stamps_ns[first + 1:])
     in_axes = [[log for log in logs if log.in_space[0] == in_space] for in_space in (False, True)]
-    body, space, on_rotors = (
-        added([log.torques[first if len(log) > 1 else 0:] for log in group])
-        for group in (*in_axes, motors))
-    sums = _allocated(times_ns, 0)
-    kernels.sum_rows(body, space, on_rotors, momentum, sums)
+    groups = [[log.torques[first if len(log) > 1 else 0:] for log in group]
+              for group in (*in_axes, motors)]
+    return _row_by_row(times_ns, groups, momentum)
+
+
+def _row_by_row(times_ns: NDArray[np.int64], groups: Sequence[Sequence[Floats]],
+                momentum: Floats) -> Sums:
+    """Return the sum of torques in body axes, in space axes and on the rotors, row by row."""
+    (body, space, motors), sums = map(_added, groups), _allocated(times_ns, 0)
+    kernels.sum_rows(body, space, motors, momentum, sums)
     return sums
 
 
@@ -119,14 +195,16 @@ def _allocated(times_ns: NDArray[np.int64], degree: int) -> Sums:
     """
     Allocate arrays for the sums at given times, without filling them.
 
-    The arrays share one block of memory, because NumPy requests large pages for a large block.
+    Large arrays share one block of memory, because NumPy requests large pages for a large block.
     This saves time: getting many small pages from the system takes longer than filling the arrays.
     Memory that is never touched costs no time.
     """
     sizes, count = (2 * degree + 1, degree + 1, degree + 1, 2), len(times_ns)
-    block = np.empty((sum(sizes), 3 * count))
-    ends = accumulate(sizes)  # np.split would take as long as summing a few samples
-    parts = (block[end - size:end].reshape(count, size, 3) for size, end in zip(sizes, ends))
+    parts: Iterable[Floats] = (np.empty((count, size, 3)) for size in sizes)
+    if count > _FEW:
+        block = np.empty((sum(sizes), 3 * count))
+        parts = (block[end - size:end].reshape(count, size, 3)
+                 for size, end in zip(sizes, accumulate(sizes)))
     return Sums(times_ns, np.empty(count, np.bool_), *parts)
 
 
