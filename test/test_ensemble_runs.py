@@ -20,7 +20,7 @@ import time
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
-from rigid_body_ros.ensemble import reach
+from rigid_body_ros.ensemble import applied
 from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.mechanics import so3
@@ -279,7 +279,7 @@ def test_a_run_that_is_not_possible_is_a_row_with_its_reason(one, values, messag
 def test_a_run_that_turns_too_far_fails_and_leaves_the_others_as_they_are(monkeypatch):
     varied = Dispersion('torque_gain', 'normal', (50.0,)), TILT
     before = rows(ensemble(*varied), 0, 40)
-    monkeypatch.setattr(reach, 'FARTHEST', 20.0)
+    monkeypatch.setattr(applied, 'FARTHEST', 20.0)
     after = rows(ensemble(*varied), 0, 40)
     failed = [row['status'] == 'failed' for row in after]
     assert 10 < sum(failed) < 30

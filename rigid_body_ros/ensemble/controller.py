@@ -41,7 +41,7 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.errors import InputError, quoted, reason
-from rigid_body_ros.ensemble.reach import FARTHEST
+from rigid_body_ros.ensemble.applied import FARTHEST
 from rigid_body_ros.mechanics.actuator import Actuator
 from rigid_body_ros.mechanics.state import all_finite, State
 from rigid_body_ros.mechanics.torque import FRAMES, TorqueLog

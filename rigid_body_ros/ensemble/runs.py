@@ -29,7 +29,7 @@ from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine.binding import LANES
-from rigid_body_ros.ensemble.applied import Applied, components
+from rigid_body_ros.ensemble.applied import Applied, components, Reach
 from rigid_body_ros.ensemble.controller import Actuated, closed_loop, Controller
 from rigid_body_ros.ensemble.dispersions import (
     dispersed,
@@ -42,7 +42,6 @@ from rigid_body_ros.ensemble.dispersions import (
     units_with,
 )
 from rigid_body_ros.ensemble.motions import COMPONENTS
-from rigid_body_ros.ensemble.reach import Reach
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import UniformField
