@@ -24,7 +24,7 @@ from typing import Any
 from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
-from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
+from rigid_body_ros.runtime.parameters import BIG, checked, is_foreign, Parameter, TINY
 from rigid_body_ros.scene.quantities import FIELD, FIELD_MOMENT, MOMENT, QUANTITIES, RATE
 
 _BODY, _DRAG, _ROTORS = (QUANTITIES[name] for name in ('inertia', 'damping', 'rotor_momentum'))
@@ -259,9 +259,27 @@ def checked_names(given: Mapping[str, Any]) -> dict[str, list[str]]:
     return names
 
 
-def check_named(key: str, names: Mapping[str, Sequence[str]]) -> None:
-    """Raise InputError if an unknown parameter seems to belong to an unknown field or wheel."""
-    for listing, pattern in _OF_NAMED.items():
-        if member := pattern.fullmatch(key):
-            raise InputError(f'{key}: expected {quoted(member[1])} among the names in {listing}, '
-                             f'found {listed(names[listing])}')
+def parameters_for(given: Mapping[str, Any]) -> tuple[dict[str, Parameter], tuple[str, ...]]:
+    """
+    Return all parameters of the scene with the given values, keyed by full name.
+
+    The second result are the names of given parameters that belong to other nodes.
+
+    Raises
+    ------
+    InputError
+        A name of a field or wheel is not valid (see `checked_names`), or an unknown parameter
+        resembles a known one or seems to belong to an unknown field or wheel.
+
+    """
+    names = checked_names(given)
+    table = parameters_with(names)
+    accepted = (*table, *OF_ROS)
+    foreign = tuple(name for name, value in given.items()
+                    if not name.startswith(QOS) and is_foreign(name, value, accepted))
+    for name in foreign:
+        for listing, pattern in _OF_NAMED.items():
+            if member := pattern.fullmatch(name):
+                raise InputError(f'{name}: expected {quoted(member[1])} among the names in '
+                                 f'{listing}, found {listed(names[listing])}')
+    return table, foreign

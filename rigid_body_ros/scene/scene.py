@@ -36,18 +36,15 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
-from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, parameters_of, Value
+from rigid_body_ros.runtime.parameters import checked, Parameter, parameters_of, Value
 from rigid_body_ros.scene import parts
 from rigid_body_ros.scene.parameters import (
     ARRIVAL,
-    check_named,
-    checked_names,
     CLOCK,
     HEADER,
     LOCKSTEP,
-    OF_ROS,
+    parameters_for,
     parameters_with,
-    QOS,
     REALTIME,
     WHEEL_NAMES,
 )
@@ -242,13 +239,7 @@ class Scene:
             has the wrong type or is out of range; or two values contradict each other.
 
         """
-        names = checked_names(given)
-        table = parameters_with(names)
-        accepted = (*table, *OF_ROS)
-        ignored = tuple(name for name, value in given.items()
-                        if not name.startswith(QOS) and is_foreign(name, value, accepted))
-        for name in ignored:
-            check_named(name, names)
+        table, ignored = parameters_for(given)
         specified = {**given, **parts.inertia_of_robot(given)}
         values = {name: checked(parameter, specified.get(name, parameter.default))
                   for name, parameter in table.items()}
