@@ -262,6 +262,6 @@ def test_the_noise_is_found_whatever_the_model(colour):
         white = random.normal(size=(250, 3)) * 2e-3 * np.sqrt(1.0 - colour ** 2)
         errors = lfilter([1.0], [1.0, -colour], white, axis=0)
         level.add(errors + np.linspace(0.0, 1.0, 250)[:, None] ** 2)  # a wrong model
-    assert abs(level.found / 2e-3 - 1.0) < 0.05
+    assert abs(level.size / 2e-3 - 1.0) < 0.05
     expected = (1.0 + colour) / (1.0 - colour)
     assert abs(level.factor / expected - 1.0) < 0.1

@@ -80,15 +80,15 @@ class Alignment:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the alignment as JSON types, with None for infinite standard deviations."""
-        found: dict[str, Any] = {
+        result: dict[str, Any] = {
             **self.of_sensor(), 'space_xyzw': _upper(self.space).tolist(),
             'start': 'fitted' if self.start else 'scene'}
         if self.start:
-            found['initial_attitude_xyzw'] = self.start.attitude.tolist()
-            found['initial_angular_velocity_rad_s'] = self.start.angular_velocity.tolist()
+            result['initial_attitude_xyzw'] = self.start.attitude.tolist()
+            result['initial_angular_velocity_rad_s'] = self.start.angular_velocity.tolist()
         if self.sigma:
-            found['sigma'] = {name: as_json(value) for name, value in self.sigma.items()}
-        return found
+            result['sigma'] = {name: as_json(value) for name, value in self.sigma.items()}
+        return result
 
     def applied(self, sensor: Measured) -> Measured:
         """Convert the measurements of a sensor to the clock and the axes of the motion."""
@@ -159,8 +159,8 @@ def align(motion: Motion, sensors: Sequence[Measured],
             values[f'mount@{k}'] = so3.log(mount)
         within = inside(motion, sensor.stamps_ns + round(1e9 * offset),
                         _MARGIN_NS if clocks[k] else 0)
-        channels += [replace(one, topic=str(k)) for one in sensor.rows(within).channels()
-                     if len(one) > 1]
+        channels += [replace(channel, topic=str(k)) for channel in sensor.rows(within).channels()
+                     if len(channel) > 1]
     if not channels:
         raise apart(motion, sensors)
     # Rotating the space axes has the same effect as rotating the initial attitude, so only one of
@@ -187,10 +187,9 @@ def check_names(names: Collection[str], topics: Sequence[str] | None = None) -> 
 def _alignments(solution: Solution, count: int, motion: Motion) -> tuple[Alignment, ...]:
     """Return the alignment of each sensor, with standard deviations."""
     problem, physics, start = solution.problem, solution.physics, None
-    parameters, rate = problem.parameters, problem.setup.rate
-    unknown = problem.unknowns[0]
+    parameters, unknown = problem.parameters, problem.unknowns[0]
     names = [*parameters.names, *(f'start[{k}]' for k in unknown)]
-    scales = np.append(parameters.scales, np.where(unknown < 3, 1.0, rate))
+    scales = np.append(parameters.scales, np.where(unknown < 3, 1.0, problem.setup.rate))
     covariance, identifiable, _ = certainty(
         problem.information(physics), names, np.append(
             parameters.values(physics) / parameters.scales, np.zeros(len(unknown))))
@@ -198,9 +197,8 @@ def _alignments(solution: Solution, count: int, motion: Motion) -> tuple[Alignme
     by_group = {group: deviations[parameters.columns([group])] for group in parameters.groups}
     shared = {'space_rad': by_group[SPACE]} if SPACE in by_group else {}
     if len(unknown):
-        given, states = motion.start, problem.reference
-        start = State(given.time_ns, so3.normalize(states.attitude[0]),
-                      states.angular_velocity[0], given.rotor_momentum)
+        first, (attitude, rate) = motion.start, problem.reference.rows(0)
+        start = State(first.time_ns, so3.normalize(attitude), rate, first.rotor_momentum)
         own = deviations[parameters.size:]
         shared['initial_angular_velocity_rad_s'] = own[-3:]
         if len(unknown) > 3:

@@ -392,14 +392,14 @@ def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) ->
     """
     values = dict(zip(parameters.names, parameters.values(parameters.guess)))
     result = {}
-    for name, given in priors.items():
+    for name, stated in priors.items():
         components = [name] if name in values else [
             component for component in values
             if {component, split_topic(component)[0]} & {*components_of(name)}]
         if not components:
             raise InputError(f'prior: expected parameters that are estimated or may be suspects '
                              f'({listed(parameters.groups)}), found {name!r}')
-        text = str(given)
+        text = str(stated)
         try:
             size = float(text.removesuffix('%'))
         except ValueError:

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.inference.coordinates import Physics
 from rigid_body_ros.inference.fit import errors_of, Solution
 from rigid_body_ros.inference.noise import rms, tail
@@ -70,7 +70,7 @@ class Residuals:
     topic: str
     is_attitude: bool
     is_training: bool
-    stamps_ns: NDArray[np.int64]
+    stamps_ns: Ints
     errors: Floats
     measured: Floats
     inliers: NDArray[np.bool_]
@@ -92,7 +92,7 @@ class Residuals:
         return self.errors[self.inliers]
 
     @property
-    def kept_ns(self) -> NDArray[np.int64]:
+    def kept_ns(self) -> Ints:
         """Return the stamps of the errors in `kept`, ns."""
         return self.stamps_ns[self.inliers]
 

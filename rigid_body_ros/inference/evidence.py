@@ -204,31 +204,31 @@ def noises(problem: LeastSquares) -> list[list[Noise]]:
     chosen = [*_few(problem)]
     rows = [_rows(problem, k, keeps=True) for k in chosen]
     own = [len(problem.unknowns[k]) for k in chosen]
-    blocks = [triangle(one.copy())[count:, count:] for one, count in zip(rows, own)]
-    matrix = np.concatenate(blocks)
+    matrix = np.concatenate([triangle(slopes.copy())[count:, count:]
+                             for slopes, count in zip(rows, own)])
     change = solved(matrix[:, :-1], matrix[:, -1])[0]
-    parts: list[list[list[Floats]]] = [[[] for _ in channels]
-                                       for channels in problem.setup.channels]
-    total = sum(one.shape[1] for one in rows)
+    parts: list[list[list[Floats]]] = [[[] for _ in every] for every in problem.setup.channels]
+    total = sum(slopes.shape[1] for slopes in rows)
     share = total / max(total - len(change) - sum(own), 1)
-    for k, one, count in zip(chosen, rows, own):
-        left = one[-1] + change @ one[count:-1]
+    for k, slopes, count in zip(chosen, rows, own):
+        left, of_state = slopes[-1] + change @ slopes[count:-1], slopes[:count].T
         if count:
-            left = left - one[:count].T @ np.linalg.lstsq(one[:count].T, left, rcond=None)[0]
+            left = left - of_state @ np.linalg.lstsq(of_state, left, rcond=None)[0]
         for channel, part in split_channels(problem, k, left):
             parts[problem.windows[k].experiment][channel].append(part)
-    return [[noise_of(each, share) if each else Noise(np.ones(3)) for each in every]
+    return [[noise_of(errors, share) if errors else Noise(np.ones(3)) for errors in every]
             for every in parts]
 
 
-def with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
+def with_noise(solution: Solution, noises: list[list[Noise]]) -> Solution:
     """Return a fit with `weighted` weights, repeated if the noise spreads are not about equal."""
-    solution = weighted(solution, found)
+    solution = weighted(solution, noises)
     sizes = np.concatenate([weight.spread for every in solution.weights for weight in every])
-    return polished(solution) if sizes.max() > _UNEQUAL * sizes.min() else solution
+    is_final = solution.problem.setup.most or sizes.max() <= _UNEQUAL * sizes.min()
+    return solution if is_final else polished(solution)
 
 
-def weighted(solution: Solution, found: list[list[Noise]]) -> Solution:
+def weighted(solution: Solution, noises: list[list[Noise]]) -> Solution:
     """Return a fit with weights that account for the size and persistence of the errors."""
     setup = solution.problem.setup
 
@@ -239,7 +239,7 @@ def weighted(solution: Solution, found: list[list[Noise]]) -> Solution:
         sizes = np.ones(3) if setup.noise_of(channel.is_attitude) else np.maximum(relative, LEAST)
         return sizes * noise.lasting
     return solution.with_spreads([[spread(*pair) for pair in zip(*every)]
-                                  for every in zip(setup.channels, found)])
+                                  for every in zip(setup.channels, noises)])
 
 
 def foresight(solution: Solution, number: int, channels: Sequence[Measured],
@@ -286,8 +286,8 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     problem = LeastSquares(old.setup, [ahead], old.reference.rows([k]), weights)
     # The parameters come before the state, as in the information matrix.
     slopes = np.roll(problem.derivatives(0, solution.physics), -len(problem.unknowns[0]), axis=0)
-    known = old.information(solution.physics, [k])
-    deviations = _deviations(known, slopes)
+    information = old.information(solution.physics, [k])
+    deviations = _deviations(information, slopes)
     sigma = np.concatenate([np.tile(errors.noise * errors.is_attitude * weight.spread,
                                     len(errors.errors))
                             for errors, weight in zip(residuals, weights[number])])
@@ -297,7 +297,7 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     angles = np.where(sigma > 0.0, deviations, 0.0) * sigma  # a rate may have no deviation
     lost, vague = (stamps_ns[angles > limit] for limit in (LOST, _LINEAR))
     used = stamps_ns < vague.min() if vague.size else np.ones(stamps_ns.shape, bool)
-    rows = np.concatenate([known, np.zeros((len(known), 1))], axis=1)
+    rows = np.concatenate([information, np.zeros((len(information), 1))], axis=1)
     scaled = problem.scaled_errors(0, solution.physics)
     rows = np.concatenate([rows, np.vstack([slopes, scaled]).T[used]])
     statistic = float(triangle(rows.T.copy())[-1, -1] ** 2)
@@ -305,9 +305,9 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     return statistic, int(np.sum(used & inliers)), predictable_s
 
 
-def _deviations(known: Floats, slopes: Floats) -> Floats:
+def _deviations(information: Floats, slopes: Floats) -> Floats:
     """Return the standard deviations of predictions, with infinity for undetermined ones."""
-    _, singular, right = np.linalg.svd(known)
+    _, singular, right = np.linalg.svd(information)
     kept = singular > _ROUNDING * _ROUNDING * singular.max(initial=0.0)
     deviations = np.linalg.norm((right[kept] @ slopes) / singular[kept, None], axis=0)
     # Rounding leaves a small slope in directions without an effect.

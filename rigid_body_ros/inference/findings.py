@@ -33,7 +33,6 @@ from rigid_body_ros.inference.evidence import (
     noises,
     solved,
     Suspect,
-    weighted,
     widened,
     with_noise,
 )
@@ -174,7 +173,7 @@ def examined(solution: Solution) -> Findings:
     names, fitted = setup.candidates(), setup.parameters.names
     problem = widened(solution, names)
     noise, before = noises(problem), solution
-    solution = weighted(solution, noise) if setup.most else with_noise(solution, noise)
+    solution = with_noise(solution, noise)
     problem = problem.weighted(solution.weights) if solution.physics is before.physics else \
         widened(solution, names)
     suspects = [*faults_of_outliers(solution), *_parameters(problem, fitted, names)]

@@ -134,7 +134,7 @@ class LeastSquares:
         #: vector of the attitude; components 3 to 5 are the angular velocity.
         self.unknowns = [np.arange(
             0 if fits_attitude[window.experiment] else 3,
-            6 if window.has_state and (setup.fits_start or not window.is_first) else 0)
+            6 if setup.is_computed and (setup.fits_start or not window.is_first) else 0)
             for window in windows]
         self.guess = parameters.coordinates(parameters.guess)
         self.evaluations = 0
@@ -161,7 +161,7 @@ class LeastSquares:
     def states(self) -> Poses:
         """Return the states at the last point that the solver accepted."""
         assert self._base is not None
-        return Poses(*(np.array(each) for each in zip(*(
+        return Poses(*map(np.array, zip(*(
             self._state(k, change) for k, change in enumerate(self._base.changes)))))
 
     def settle(self, tolerance: float, most: int) -> bool:
@@ -260,10 +260,10 @@ class LeastSquares:
         """
         window, unknown = self.windows[k], self.unknowns[k]
         own = len(unknown)
-        predicted, found = window.linearize(physics, self._state(k, change),
-                                            self.parameters.groups)
-        rows = self._rows(k, found)
-        columns = np.zeros((own + len(slopes) + 1, 3 * window.size + own))
+        predicted, by_value = window.linearize(physics, self._state(k, change),
+                                               self.parameters.groups)
+        rows = self._rows(k, by_value)
+        columns = np.zeros((own + len(slopes) + 1, own + rows.shape[1]))
         columns[:own, own:] = self._of_state(rows, change)[unknown]
         columns[own:-1, own:] = slopes @ rows[6:]
         columns[-1, own:] = self._errors(k, predicted)
@@ -324,8 +324,8 @@ class LeastSquares:
                     if window.is_first and len(self.unknowns[k])]
         shared = self.parameters.size
         width = shared + sum(len(self.unknowns[k]) for k in kept)
-        known = self.parameters.known * self.parameters.scales
-        blocks, column = [np.pad(known, ((0, 0), (0, width - shared)))], shared
+        priors = self.parameters.known * self.parameters.scales
+        blocks, column = [np.pad(priors, ((0, 0), (0, width - shared)))], shared
         for k in range(len(self.windows)):
             factor = triangle(self.derivatives(k, physics))
             own = len(self.unknowns[k])
@@ -357,16 +357,13 @@ class LeastSquares:
             scales.
 
         """
-        if k not in self._slopes or self._slopes[k][0] is not physics:
-            found = self.windows[k].linearize(physics, self.reference.rows(k),
-                                              self.parameters.groups)[1]
-            if not keeps:
-                return self._scaled(k, found)
-            self._slopes[k] = physics, found
-        return self._scaled(k, self._slopes[k][1])
-
-    def _scaled(self, k: int, found: list[Floats]) -> Floats:
-        rows = self._rows(k, found)
+        latest, slopes = self._slopes.get(k, (None, []))
+        if latest is not physics:
+            _, slopes = self.windows[k].linearize(physics, self.reference.rows(k),
+                                                  self.parameters.groups)
+        if keeps:
+            self._slopes[k] = physics, slopes
+        rows = self._rows(k, slopes)
         return np.concatenate([self._of_state(rows, np.zeros(6))[self.unknowns[k]],
                                self.parameters.scales[:, None] * rows[6:]])
 
@@ -474,10 +471,10 @@ def _weighed(error: Floats, channel: Measured, old: Weight, setup: Setup, share:
     The errors of samples outside windows are NaN. These samples count as inliers.
     """
     floor = ROUNDING * (1.0 if channel.is_attitude else max(1.0, setup.rate))
-    given = setup.noise_of(channel.is_attitude)
+    stated = setup.noise_of(channel.is_attitude)
     level, used = max(NORMAL * median_size(error) * share, floor), np.isfinite(error[:, 0])
     distances = np.nan_to_num(
-        np.linalg.norm(error, axis=1) / max(level, given or 0.0, _NO_OUTLIER))
+        np.linalg.norm(error, axis=1) / max(level, stated or 0.0, _NO_OUTLIER))
     inliers = distances <= _OUTLIER
     if used.any() and np.mean(inliers[used]) < _RARE:
         inliers = np.ones(len(inliers), bool)
@@ -485,7 +482,7 @@ def _weighed(error: Floats, channel: Measured, old: Weight, setup: Setup, share:
     if is_last:
         root, kept = inliers.astype(float), error[inliers & used]
         level = max(float(np.sqrt(np.mean(kept ** 2))) * share, floor) if len(kept) else floor
-    return Weight(given or level, root, old.spread), inliers
+    return Weight(stated or level, root, old.spread), inliers
 
 
 def median_size(error: Floats) -> float:

@@ -114,14 +114,14 @@ def rough(setup: Setup) -> Solution:
     time to grow. Without parameters, the shorter windows remain if their errors are smaller.
     """
     guess = _guess(setup)
-    found = _from_few(setup, setup.shortest_ns, guess)
-    if lasts(found) and setup.is_computed:
+    few = _from_few(setup, setup.shortest_ns, guess)
+    if lasts(few) and setup.is_computed:
         closer = _from_few(setup, setup.shortest_ns // _GROWTH[0], guess)
         if not setup.parameters.size:
-            is_much_less = misfit(closer) < misfit(found) - np.log(_MUCH)
-            return closer if is_much_less else found
-        found = min(found, _from_few(setup, setup.shortest_ns, closer.physics), key=misfit)
-    return found
+            is_much_less = misfit(closer) < misfit(few) - np.log(_MUCH)
+            return closer if is_much_less else few
+        few = min(few, _from_few(setup, setup.shortest_ns, closer.physics), key=misfit)
+    return few
 
 
 def screened(setup: Setup) -> Solution:
@@ -162,9 +162,9 @@ def misfit(solution: Solution) -> float:
 
 def _relative(solution: Solution) -> list[float]:
     """Return the error of each channel on its worst axis, relative to the values."""
-    return [max(map(median_size, error.T)) / max(rms(one.values), 1e-12)
+    return [max(map(median_size, error.T)) / max(rms(channel.values), 1e-12)
             for every, channels in zip(solution.errors, solution.problem.setup.channels)
-            for error, one in zip(every, channels)]
+            for error, channel in zip(every, channels)]
 
 
 def _longer(solution: Solution) -> Solution | None:
@@ -235,8 +235,8 @@ def _medians(window: Window, physics: Physics, *states: tuple[Floats, Floats]) -
     """Return the sum of the median errors of all channels in a window, for each given state."""
     errors = [errors_of(window.channels, window.predict(physics, Poses(*state)))
               for state in states]
-    return np.sum([[np.median(np.linalg.norm(one, axis=1)) for one in each if len(one)]
-                   for each in errors], axis=1)
+    return np.sum([[np.median(np.linalg.norm(error, axis=1)) for error in every if len(error)]
+                   for every in errors], axis=1)
 
 
 def _restarted(solution: Solution) -> Solution | None:
@@ -249,7 +249,7 @@ def _restarted(solution: Solution) -> Solution | None:
     old, physics, is_better = solution.problem, solution.physics, False
     states = [*zip(old.reference.attitude, old.reference.angular_velocity)]
     for k, (before, window) in enumerate(pairwise(old.windows), 1):
-        if window.is_first or not window.has_state:
+        if window.is_first or not old.setup.is_computed:
             continue
         near = before.state_at(physics, Poses(*states[k - 1]), window.anchor_ns)
         own, other = _medians(window, physics, states[k], near)
@@ -291,9 +291,9 @@ def _with_fitted_rates(solution: Solution) -> Setup:
     If no sensor measures an initial angular velocity, it is first guessed from a few noisy
     attitudes. The error of the guess makes the wheel momentum wrong in all later windows.
     """
-    setup, axial = solution.problem.setup, [*solution.problem.setup.axial]
-    rates = solution.problem.reference.angular_velocity
-    for window, rate in zip(solution.problem.windows, rates):
+    setup, problem = solution.problem.setup, solution.problem
+    axial = [*setup.axial]
+    for window, rate in zip(problem.windows, problem.reference.angular_velocity):
         wheels = axial[window.experiment]
         if window.is_first and wheels:
             axial[window.experiment] = replace(wheels, rate=rate)
@@ -303,7 +303,7 @@ def _with_fitted_rates(solution: Solution) -> Setup:
 def states_at(solution: Solution, windows: Sequence[Window]) -> Poses:
     """Return the states of a solution at the beginning of each given window."""
     old, pairs = solution.problem, []
-    begins = [(one.experiment, one.anchor_ns) for one in old.windows]
+    begins = [(window.experiment, window.anchor_ns) for window in old.windows]
     for window in windows:
         k = max(bisect_right(begins, (window.experiment, window.anchor_ns + _SAME_NS)) - 1,
                 bisect_left(begins, (window.experiment,)))
@@ -315,14 +315,11 @@ def states_at(solution: Solution, windows: Sequence[Window]) -> Poses:
 def _predicts(problem: LeastSquares, physics: Physics) -> bool:
     """Return whether the initial errors of a fit are small enough for useful derivatives."""
     setup, errors = problem.setup, problem.residuals(physics)
-    for window in problem.windows:
-        every = setup.channels[window.experiment]
-        for channel, rows, error in zip(every, window.rows, errors[window.experiment]):
-            sizes = np.linalg.norm(error[rows], axis=1)
-            most = _LINEAR * (1.0 if channel.is_attitude else setup.rate)
-            if len(sizes) and np.quantile(sizes, 0.9) > most:
-                return False
-    return True
+    return all(
+        np.quantile(np.linalg.norm(error[rows], axis=1), 0.9)
+        <= _LINEAR * (1.0 if channel.is_attitude else setup.rate)
+        for window in problem.windows for channel, rows, error in zip(
+            window.channels, window.rows, errors[window.experiment]) if len(channel))
 
 
 def _fits(longer: Solution, shorter: Solution) -> bool:
@@ -337,8 +334,7 @@ def _fits(longer: Solution, shorter: Solution) -> bool:
     pairs = [(error, _WORSE * middle) for every, middles in zip(longer.errors, usual)
              for error, middle in zip(every, middles)]
     for window in longer.problem.windows:
-        one = window.experiment
-        pairs += [(error[rows], _MUCH * middle)
-                  for error, rows, middle in zip(longer.errors[one], window.rows, usual[one])]
+        pairs += [(error[rows], _MUCH * middle) for error, rows, middle in zip(
+            longer.errors[window.experiment], window.rows, usual[window.experiment])]
     return longer.converged and all(median_size(error) <= most + 1e3 * ROUNDING
                                     for error, most in pairs)

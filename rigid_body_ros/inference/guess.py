@@ -106,8 +106,7 @@ def _offset(motion: Motion, sensor: Measured, mount: bool) -> float:
     return _best_lag(measured, computed, within, mount) * 1e-9 * step_ns
 
 
-def _best_lag(measured: Floats, computed: Floats, within: NDArray[np.bool_],
-              mount: bool) -> float:
+def _best_lag(measured: Floats, computed: Floats, within: NDArray[np.bool_], mount: bool) -> float:
     """
     Return the lag, in grid steps, that minimizes the mean squared difference of the rates.
 
@@ -151,8 +150,7 @@ def _best_lag(measured: Floats, computed: Floats, within: NDArray[np.bool_],
     return best - middle + float(np.clip(fraction, -0.5, 0.5))
 
 
-def _mounting(motion: Motion, sensor: Measured, offset_ns: int
-              ) -> tuple[Floats, Floats]:
+def _mounting(motion: Motion, sensor: Measured, offset_ns: int) -> tuple[Floats, Floats]:
     """Return the best-fitting rotations for a sensor: of its mounting, and of the space axes."""
     times_ns = sensor.stamps_ns + offset_ns
     within = inside(motion, times_ns)

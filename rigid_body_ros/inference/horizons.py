@@ -20,8 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.monitor import Judgement
 from rigid_body_ros.inference.residual_torque import measured_rates
@@ -76,7 +75,7 @@ def usual_horizons(sensors: Sequence[Measured]) -> list[float]:
     A suitable horizon is at least as long as the usual time between two samples, and no longer
     than the measurement.
     """
-    stamps_ns = next((one.stamps_ns for one in sensors if one.attitude is not None), np.empty(0))
+    stamps_ns = next((sensor.stamps_ns for sensor in sensors if sensor.is_attitude), np.empty(0))
     if len(stamps_ns) < 2:
         return []
     shortest, longest = _SHORTEST * np.median(np.diff(stamps_ns)), np.ptp(stamps_ns)
@@ -112,13 +111,11 @@ def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
         The horizon is shorter than the usual time between two samples.
 
     """
-    with_attitude = [sensor for sensor in sensors if sensor.attitude is not None]
-    if not with_attitude:
+    sensor = next((sensor.rows(sensor.stamps_ns >= problem.start.time_ns)
+                   for sensor in sensors if sensor.is_attitude), None)
+    if sensor is None or len(sensor) < 2:
         return Horizon(seconds, np.empty(0))
-    sensor = with_attitude[0].rows(with_attitude[0].stamps_ns >= problem.start.time_ns)
     stamps_ns, step_ns = sensor.stamps_ns, round(1e9 * seconds)
-    if len(stamps_ns) < 2:
-        return Horizon(seconds, np.empty(0))
     spacing_ns = int(np.median(np.diff(stamps_ns)))
     if step_ns < _SHORTEST * spacing_ns:
         raise InputError(f'{sensor.topic}: expected a horizon of at least '
@@ -127,7 +124,7 @@ def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
     # Accept samples that are late by up to half the time between samples.
     half_ns = spacing_ns // 2
     _, rows = np.unique((stamps_ns - stamps_ns[0] + half_ns) // step_ns, return_index=True)
-    first, last = (each[thinned(len(each), _WINDOWS)] for each in (rows[:-1], rows[1:]))
+    first, last = (edges[thinned(len(edges), _WINDOWS)] for edges in (rows[:-1], rows[1:]))
     whole = np.abs(stamps_ns[last] - stamps_ns[first] - step_ns) <= 2 * half_ns
     first, last = first[whole], last[whole]
     starts = _restarted(problem, sensor, first, last, stamps_ns[first] + step_ns // 5)
@@ -142,8 +139,8 @@ def _error(problem: Problem, sensor: Measured, start: State, row: int) -> float:
     return float(so3.angle_between(motion.attitude[0], sensor.values[row]))
 
 
-def _restarted(problem: Problem, sensor: Measured, first: NDArray[np.int64],
-               last: NDArray[np.int64], until_ns: NDArray[np.int64]) -> list[State]:
+def _restarted(problem: Problem, sensor: Measured, first: Ints,
+               last: Ints, until_ns: Ints) -> list[State]:
     """For each window, fit a motion to its first few samples, and return the state at `first`."""
     counts = np.searchsorted(sensor.stamps_ns, until_ns, 'right') - first
     counts = np.minimum(np.clip(counts, 2, _SAMPLES), last - first + 1)
@@ -156,11 +153,9 @@ def _restarted(problem: Problem, sensor: Measured, first: NDArray[np.int64],
     return [starts[k] for k in range(len(first))]
 
 
-def _fitted(problem: Problem, sensor: Measured, rows: NDArray[np.int64],
-            momenta: Floats) -> list[State]:
+def _fitted(problem: Problem, sensor: Measured, rows: Ints, momenta: Floats) -> list[State]:
     """Fit a motion to the samples in each row of an array, and return their first states."""
-    (_, rates), stamps_ns, attitude = measured_rates(sensor), sensor.stamps_ns, sensor.attitude
-    assert attitude is not None
+    (_, rates), stamps_ns, attitude = measured_rates(sensor), sensor.stamps_ns, sensor.values
     has_rates = sensor.angular_velocity is not None
     begins = np.median(rates[rows if has_rates else rows[:, :-1]], axis=1)
     starts = [State(time_ns, *state) for time_ns, *state in zip(
@@ -207,8 +202,8 @@ def _lines(columns: Floats, values: Floats) -> Floats:
     weights = np.ones_like(columns[:, :, :1])
     for _ in range(3):
         weighted = (weights ** 2 * columns).swapaxes(1, 2)
-        found = np.linalg.solve(weighted @ columns, weighted @ values)
-        distances = np.linalg.norm(values - columns @ found, axis=2, keepdims=True)
+        coefficients = np.linalg.solve(weighted @ columns, weighted @ values)
+        distances = np.linalg.norm(values - columns @ coefficients, axis=2, keepdims=True)
         limit = np.maximum(2.0 * np.median(distances, axis=1, keepdims=True), 1e-300)
         weights = np.minimum(limit / np.maximum(distances, limit), 1.0)
-    return np.asarray(found.swapaxes(0, 1))
+    return np.asarray(coefficients.swapaxes(0, 1))

@@ -81,22 +81,22 @@ def undone(few: Solution) -> Suspect | None:
     """
     setup = few.problem.setup
     before, tried = misfit(screened(setup)), []
-    for one in _faults(setup):
+    for fault in _faults(setup):
         try:
-            after = screened(one[2])
+            after = screened(fault[2])
         except (InputError, ValueError):  # nothing is left to fit, or the motion is too fast
             continue
-        if _is_large(one[0], after) and before - misfit(after) > math.log(
+        if _is_large(fault[0], after) and before - misfit(after) > math.log(
                 _MUCH if lasts(after) else _SMALLER):
-            tried.append((misfit(after), one))
+            tried.append((misfit(after), fault))
     if not tried:
         return None
     least = min(size for size, _ in tried)
-    name, text, best = next(one for size, one in tried if size <= least + math.log(_ABOUT))
+    name, text, best = next(fault for size, fault in tried if size <= least + math.log(_ABOUT))
     # A fit of few evaluations may have stopped too early, so fit the best fault as well as `few`.
     if setup.parameters.size and misfit(few) - misfit(rough(best)) < math.log(_SMALLER):
         return None
-    drop = 6.0 * min(len(one) for one in setup.channels[0]) * (before - least)
+    drop = 6.0 * min(map(len, setup.channels[0])) * (before - least)
     return Suspect(name, drop, tail(drop, 1), text=text)
 
 
@@ -109,7 +109,7 @@ def _is_large(name: str, solution: Solution) -> bool:
 
 def _faults(setup: Setup) -> Iterator[_Hypothesis]:
     """Generate the faults of all samples, beginning with the simplest."""
-    topics = dict.fromkeys((one.topic, one.is_attitude) for one in setup.channels[0])
+    topics = dict.fromkeys((channel.topic, channel.is_attitude) for channel in setup.channels[0])
     for topic, is_attitude in topics:
         changes = _of_attitude() if is_attitude else _of_rates(setup, topic)
         for name, text, change in changes:
@@ -130,48 +130,55 @@ _Change = Callable[[Measured, Sequence[Measured]], Measured]
 def _changed(setup: Setup, topic: str, is_attitude: bool, change: _Change) -> Setup:
     """Return a setup in which one quantity of a topic is changed in all recordings."""
     return replace(setup, channels=[[
-        change(one, channels) if (one.topic, one.is_attitude) == (topic, is_attitude) else one
-        for one in channels] for channels in setup.channels])
+        change(channel, channels) if (channel.topic, channel.is_attitude) == (topic, is_attitude)
+        else channel for channel in channels] for channels in setup.channels])
 
 
 def _of_attitude() -> Iterator[tuple[str, str, _Change]]:
     yield 'quaternion_order', 'the quaternions are in the order w, x, y, z; expected x, y, z, w', \
-        lambda one, _: replace(one, attitude=np.roll(one.values, -1, axis=1))
+        lambda mocap, _: replace(mocap, attitude=np.roll(mocap.values, -1, axis=1))
     yield 'inverse_quaternion', 'the quaternions map space vectors to body vectors; expected ' \
-        'the reverse', lambda one, _: replace(one, attitude=so3.conjugate(one.values))
+        'the reverse', lambda mocap, _: replace(mocap, attitude=so3.conjugate(mocap.values))
 
 
 def _of_rates(setup: Setup, topic: str) -> Iterator[tuple[str, str, _Change]]:
     yield 'degrees', 'the angular velocity is in degrees per second; expected rad/s', \
-        lambda one, _: replace(one, angular_velocity=np.radians(one.values))
+        lambda gyro, _: replace(gyro, angular_velocity=np.radians(gyro.values))
     yield 'rates_in_space', 'the angular velocity is in space axes; expected body axes', \
-        lambda one, every: replace(one, angular_velocity=so3.rotate(
-            so3.conjugate(_attitude_at(one, every, setup)), one.values))
-    gyro = next(one for one in setup.channels[0] if one.topic == topic and not one.is_attitude)
-    limit = float(np.abs(gyro.values).max())
-    noise = spread_of(gyro.stamps_ns, gyro.values)
-    below = (np.abs(gyro.values) < limit - _SAME * noise).all(axis=1)
-    if FEWEST <= below.sum() < _MOST * len(gyro):
+        lambda gyro, every: replace(gyro, angular_velocity=so3.rotate(
+            so3.conjugate(_attitude_at(gyro, every, setup)), gyro.values))
+    first = _channel(setup.channels[0], False, topic)
+    assert first is not None
+    limit = float(np.abs(first.values).max())
+    noise = spread_of(first.stamps_ns, first.values)
+
+    def unsaturated(gyro: Measured) -> Measured:
+        return gyro.rows(np.flatnonzero((np.abs(gyro.values) < limit - _SAME * noise).all(axis=1)))
+    if FEWEST <= len(unsaturated(first)) < _MOST * len(first):
         yield 'gyro_saturation', f'the gyro saturates at {limit:.4g} rad/s', \
-            lambda one, _: one.rows(np.flatnonzero((
-                np.abs(one.values) < limit - _SAME * noise).all(axis=1)))
-    vectors = _rates_of_both(setup, topic)
+            lambda gyro, _: unsaturated(gyro)
+    vectors = _rates_of_both(setup, first)
     if vectors is None:
         return
     swap = _best_swap(*vectors)
     if swap is not None:
         yield 'gyro_axes', f'the gyro has swapped or reversed axes: {_axes_text(swap)}', \
-            lambda one, _: replace(one, angular_velocity=one.values @ swap.T)
-    if not any(one.topic == topic and one.is_attitude for one in setup.channels[0]):
-        return  # the parameter `mount` of its own topic describes that
-    turn = kabsch(*vectors)
-    yield 'gyro_mount', f'the gyro is turned by {_turn_text(turn)}', \
-        lambda one, _: replace(one, angular_velocity=so3.rotate(turn, one.values))
+            lambda gyro, _: replace(gyro, angular_velocity=gyro.values @ swap.T)
+    if _channel(setup.channels[0], True, topic):  # otherwise, its parameter `mount` describes that
+        turn = kabsch(*vectors)
+        yield 'gyro_mount', f'the gyro is turned by {_turn_text(turn)}', \
+            lambda gyro, _: replace(gyro, angular_velocity=so3.rotate(turn, gyro.values))
+
+
+def _channel(channels: Sequence[Measured], is_attitude: bool, topic: str = '') -> Measured | None:
+    """Return the first channel with attitudes or rates, of any topic or of one."""
+    return next((channel for channel in channels if channel.is_attitude is is_attitude
+                 and topic in ('', channel.topic)), None)
 
 
 def _attitude_at(rates: Measured, channels: Sequence[Measured], setup: Setup) -> Floats:
     """Return the attitude at each sample: measured, or integrated from rates in space axes."""
-    motion, attitudes = setup.problems[0], next((one for one in channels if one.is_attitude), None)
+    motion, attitudes = setup.problems[0], _channel(channels, True)
     if isinstance(motion, Recorded):
         return motion.propagate(at=rates.stamps_ns).attitude
     if attitudes is not None:
@@ -191,11 +198,9 @@ def _accumulated(turns: Floats) -> Floats:
     return result
 
 
-def _rates_of_both(setup: Setup, topic: str) -> tuple[Floats, Floats] | None:
+def _rates_of_both(setup: Setup, gyro: Measured) -> tuple[Floats, Floats] | None:
     """Return the angular velocities of a gyro, and of the attitudes; None without attitudes."""
-    channels, motion = setup.channels[0], setup.problems[0]
-    attitude = next((one for one in channels if one.is_attitude), None)
-    gyro = next(one for one in channels if one.topic == topic and not one.is_attitude)
+    motion, attitude = setup.problems[0], _channel(setup.channels[0], True)
     if isinstance(motion, Recorded):
         return gyro.values, motion.propagate(at=gyro.stamps_ns).angular_velocity
     if attitude is None:
@@ -206,14 +211,15 @@ def _rates_of_both(setup: Setup, topic: str) -> tuple[Floats, Floats] | None:
     return seen, expected
 
 
-def _best_swap(vectors: Floats, targets: Floats, known: Floats | None = None) -> Floats | None:
+def _best_swap(vectors: Floats, targets: Floats, of_inertia: Floats | None = None
+               ) -> Floats | None:
     """
     Return the signed permutation of axes that best maps vectors to targets; None for the identity.
 
-    If `known` is given, shape (n, 3, 6), the targets are the torques of an unknown inertia, per
-    unit of its entries.
+    With `of_inertia`, shape (n, 3, 6), the targets are the torques of an unknown inertia, per unit
+    of its entries.
     """
-    matrix = None if known is None else known.reshape(-1, known.shape[2])
+    matrix = None if of_inertia is None else of_inertia.reshape(-1, 6)
 
     def left(turn: Floats) -> float:
         errors = targets - vectors @ turn.T
@@ -238,12 +244,12 @@ def _of_torques(setup: Setup) -> Iterator[_Hypothesis]:
         ('torque_in_space', 'the torque is in space axes, not in body axes')
     yield name, text, _with_logs(setup, lambda log: TorqueLog(
         log.times_ns, log.torques, ~log.in_space, log.interpolation))
-    sensor = max(setup.channels[0], key=lambda one: (not one.is_attitude, len(one)))
+    sensor = max(setup.channels[0], key=lambda channel: (not channel.is_attitude, len(channel)))
     residual = residual_torque(setup.problems[0], sensor)
     if residual is None or not residual.logged.any():
         return
-    known = residual.of_inertia if 'inertia' in setup.parameters.groups else None
-    turn = _best_swap(residual.logged, residual.logged + residual.torques, known)
+    of_inertia = residual.of_inertia if 'inertia' in setup.parameters.groups else None
+    turn = _best_swap(residual.logged, residual.logged + residual.torques, of_inertia)
     if turn is not None:
         yield 'torque_axes', f'the torque has swapped or reversed axes: {_axes_text(turn)}', \
             _with_logs(setup, lambda log: log.with_torques(log.torques @ turn.T))
@@ -258,12 +264,12 @@ def _of_clock_and_mount(setup: Setup, topics: Sequence[str]) -> Iterator[_Hypoth
     """Generate clock offsets and mountings that are too large for a linear test."""
     parameters = setup.parameters
     for topic in topics:
-        sensors = [one for one in setup.channels[0] if one.topic == topic]
+        sensor = next(channel for channel in setup.channels[0] if channel.topic == topic)
         for name, clock, mount in (('clock_offset', True, False), ('mount', False, True)):
             full = f'{name}@{topic}' if len(topics) > 1 else name
             if {name, full} & {*parameters.groups}:
                 continue
-            offset, turn, _ = guess(setup.problems[0], sensors[:1], [clock], [mount])[0]
+            (offset, turn, _), = guess(setup.problems[0], [sensor], [clock], [mount])
             if abs(offset) < _LATE and np.linalg.norm(so3.log(turn)) < _TURNED:
                 continue
             value, text = (np.array([offset]), _clock_text(offset, setup)) if clock else (
@@ -280,51 +286,52 @@ def faults_of_outliers(solution: Solution) -> Iterator[Suspect]:
             yield Suspect(name, *part.chi_square(rows), text=text)
 
 
-def _of_outliers(one: Residuals, start_ns: int) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
+def _of_outliers(part: Residuals, start_ns: int) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
     """Generate the name and the description of each fault, and the samples that it explains."""
-    bad, sigma = ~one.inliers, one.noise
+    bad, sigma = ~part.inliers, part.noise
     if bad.sum() < FEWEST:
         return
-    seconds = 1e-9 * (one.stamps_ns - start_ns)
-    apart = so3.angle_between if one.is_attitude else _distance
-    still = _still(one.measured, one.computed, sigma, apart)
+    seconds = 1e-9 * (part.stamps_ns - start_ns)
+    apart = so3.angle_between if part.is_attitude else _distance
+    still = _still(part.measured, part.computed, sigma, apart)
     if np.mean(still[bad]) > _MOST:
         times = seconds[still]
-        name, what = ('attitude', 'attitude') if one.is_attitude \
+        name, what = ('attitude', 'attitude') if part.is_attitude \
             else ('rates', 'angular velocity')
-        yield f'frozen_{name}', f'{one.topic}: the {what} is frozen in {still.sum()} samples ' \
+        yield f'frozen_{name}', f'{part.topic}: the {what} is frozen in {still.sum()} samples ' \
             f'from {times[0]:.4g} s to {times[-1]:.4g} s after the start', still & bad
-    elif np.abs(one.errors).max() <= _MOVES * sigma:
+    elif np.abs(part.errors).max() <= _MOVES * sigma:
         return
-    elif one.is_attitude:
-        turns = so3.exp(-one.errors[bad])
+    elif part.is_attitude:
+        turns = so3.exp(-part.errors[bad])
         turn = davenport(turns)
         if np.linalg.norm(so3.log(turn)) > _MOVES * sigma and np.mean(
                 so3.angle_between(turns, turn) < _SAME * sigma) > _MOST:
-            yield 'flipped_attitude', f'{one.topic}: the attitude is flipped in ' \
+            yield 'flipped_attitude', f'{part.topic}: the attitude is flipped in ' \
                 f'{bad.sum()} of {len(bad)} samples, first {seconds[bad][0]:.4g} s after ' \
                 f'the start: {_turn_text(turn)} about the body', bad
     else:
-        values = np.abs(one.measured[np.abs(one.errors) > _SAME * sigma])
+        values = np.abs(part.measured[np.abs(part.errors) > _SAME * sigma])
         limit, margin = float(np.median(values)), _SAME * sigma
         if np.mean(np.abs(values - limit) < margin) > _MOST and np.mean(
-                np.abs(one.measured) > limit + margin) < 1.0 - _MOST:
-            yield 'gyro_saturation', f'{one.topic}: the gyro saturates at {limit:.4g} rad/s', bad
+                np.abs(part.measured) > limit + margin) < 1.0 - _MOST:
+            yield 'gyro_saturation', f'{part.topic}: the gyro saturates at {limit:.4g} rad/s', bad
 
 
 def faults_of_samples(motion: Recorded, channels: Sequence[Measured]
                       ) -> Iterator[tuple[str, str]]:
     """Generate faults of some samples of sensors that are compared with each other."""
-    gyro = next((one for one in channels if not one.is_attitude), None)
-    for one in channels:
-        states = motion.propagate(at=one.stamps_ns)
-        yield from _frozen(one, motion, states.attitude if one.is_attitude
+    gyro, source = _channel(channels, False), motion.source
+    for channel in channels:
+        states = motion.propagate(at=channel.stamps_ns)
+        yield from _frozen(channel, motion, states.attitude if channel.is_attitude
                            else states.angular_velocity)
-    source = motion.source
     if source is None:
         return
-    if gyro is not None:
-        angles = _turned(gyro, source.stamps_ns)
+    if gyro is not None:  # through which angles it has turned, rad
+        spans, start_ns = 1e-9 * np.diff(gyro.stamps_ns), gyro.stamps_ns[0]
+        angles = np.cumsum(np.append(0.0, spans * np.linalg.norm(gyro.values[:-1], axis=1)))
+        angles = np.interp(source.stamps_ns - start_ns, gyro.stamps_ns - start_ns, angles)
         yield from _frozen(source, motion, so3.exp(angles[:, None] * [1.0, 0.0, 0.0]))
     # A step across a gap may be long.
     spans = 1e-9 * np.diff(source.stamps_ns)
@@ -334,13 +341,6 @@ def faults_of_samples(motion: Recorded, channels: Sequence[Measured]
         seconds = 1e-9 * (source.stamps_ns[jumps[0] + 1] - motion.start.time_ns)
         yield 'flipped_attitude', f'{source.topic}: the attitude jumps {jumps.size} times, ' \
             f'first by {math.degrees(steps[jumps[0]]):.3g} degrees {seconds:.4g} s after the start'
-
-
-def _turned(gyro: Measured, times_ns: NDArray[np.int64]) -> Floats:
-    """Return the angle, rad, that a gyro has turned through at given times."""
-    spans = 1e-9 * np.diff(gyro.stamps_ns)
-    angles = np.cumsum(np.append(0.0, spans * np.linalg.norm(gyro.values[:-1], axis=1)))
-    return np.interp(times_ns - gyro.stamps_ns[0], gyro.stamps_ns - gyro.stamps_ns[0], angles)
 
 
 def _frozen(sensor: Measured, motion: Recorded, expected: Floats) -> Iterator[tuple[str, str]]:
@@ -377,8 +377,7 @@ def _still(values: Floats, expected: Floats, sigma: float,
         return still
     begins = np.flatnonzero((apart(values[:-lag], values[lag:]) < _SAME * sigma)
                             & (apart(expected[:-lag], expected[lag:]) > 2.0 * _SAME * sigma))
-    for begin in begins:
-        still[begin:begin + lag + 1] = True
+    still[begins[:, None] + np.arange(lag + 1)] = True
     return still
 
 
@@ -396,7 +395,7 @@ def _turn_text(quaternion: Floats) -> str:
     swap = np.round(so3.matrix(quaternion))
     text = f'{math.degrees(angle):.3g} degrees about ' \
            f'{written(np.round(vector / max(angle, 1e-300), 2) + 0.0)}'
-    is_swap = any(np.array_equal(swap, one) for one in _SWAPS[1:]) and np.linalg.det(swap) > 0.0
+    is_swap = any(np.array_equal(swap, axes) for axes in _SWAPS[1:]) and np.linalg.det(swap) > 0.0
     if is_swap and so3.angle_between(so3.from_matrix(swap), quaternion) < _NEAR:
         text += f', which swaps axes ({_axes_text(swap)})'
     return text
@@ -404,8 +403,6 @@ def _turn_text(quaternion: Floats) -> str:
 
 def _axes_text(turn: Floats) -> str:
     """Describe a signed permutation of axes in text such as 'x = -y, y = x, z = z'."""
-    parts = []
-    for row, name in zip(turn, 'xyz'):
-        column = int(np.argmax(np.abs(row)))
-        parts.append(f'{name} = {"-" if row[column] < 0.0 else ""}{"xyz"[column]}')
-    return ', '.join(parts)
+    columns = np.argmax(np.abs(turn), axis=1)
+    return ', '.join(f'{name} = {"-" if row[column] < 0.0 else ""}{"xyz"[column]}'
+                     for name, row, column in zip('xyz', turn, columns))

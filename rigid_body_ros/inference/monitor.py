@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.common.arrays import as_json, Floats
+from rigid_body_ros.common.arrays import as_json, Floats, Ints
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.inference.evidence import Suspect
 from rigid_body_ros.inference.findings import judged
@@ -45,6 +45,7 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.sources import WHEELS
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.measured import Measured, not_measured
+from scipy.special import chdtrc, ndtri  # here, so that no window waits for it
 
 #: Why a window is not judged, although its motion is known.
 FEW = 'too few measurements'
@@ -79,9 +80,9 @@ class Settings(NamedTuple):
 
 def settings_of(values: Mapping[str, Any]) -> Settings:
     """Get the settings of the live check from the parameters of a scene."""
-    names = ('monitor.window', 'history', 'monitor.attitude_noise', 'monitor.rate_noise',
-             'monitor.false_alarms', 'stale_after')
-    return Settings(*(values[name] for name in names))
+    return Settings(*(values[name] for name in (
+        'monitor.window', 'history', 'monitor.attitude_noise', 'monitor.rate_noise',
+        'monitor.false_alarms', 'stale_after')))
 
 
 def is_checked(problem: Problem, values: Mapping[str, Any]) -> bool:
@@ -140,7 +141,8 @@ class Monitor:
         self._actuators = dict(enumerate(actuators))
         #: How long a command may still act after it has been replaced, ns. This is the longest
         #: delay plus lag of any actuator.
-        self._reach_ns = max((one.delay_ns + one.expiry_ns for one in actuators if one), default=0)
+        self._reach_ns = max((actuator.delay_ns + actuator.expiry_ns for actuator in actuators
+                              if actuator), default=0)
         count = int(np.clip(_REMEMBERED / settings.window, 1, WINDOWS))
         #: Each row holds a torque and whether it is in space axes, or an attitude and a rate.
         self._torques = defaultdict[int, _Rows](lambda: _Rows(4, count))
@@ -185,7 +187,7 @@ class Monitor:
         """Skip all windows that overlap a time span with lost messages or ambiguous stamps."""
         self._spans.append((begin_ns, end_ns, reason))
 
-    def _put(self, rows: _Rows, times_ns: NDArray[np.int64], values: Floats) -> NDArray[np.bool_]:
+    def _put(self, rows: _Rows, times_ns: Ints, values: Floats) -> NDArray[np.bool_]:
         fits = times_ns >= self._begin_ns
         rows.put(times_ns[fits], values[fits])
         self.newest_ns = int(times_ns[fits].max(initial=self.newest_ns))
@@ -263,8 +265,7 @@ class Monitor:
                 return 'no torque for longer than stale_after'
         return ''
 
-    def _held(self, rows: _Rows, begin_ns: int, end_ns: int
-              ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _held(self, rows: _Rows, begin_ns: int, end_ns: int) -> tuple[Ints, Ints]:
         """Return the stamps and durations, ns, of the torques that act between two times."""
         times_ns, values = rows.between(begin_ns, end_ns, 1)
         held_ns = np.diff(np.append(times_ns, rows.first_ns(end_ns)))
@@ -294,8 +295,8 @@ class Monitor:
         last_ns = until_ns - self._window_ns
         if last_ns < self._begin_ns:
             return None
-        found = [rows.first_ns(self._begin_ns) for rows in self._sensors.values()]
-        first_ns = min(found, default=NEVER_NS)
+        first_ns = min((rows.first_ns(self._begin_ns) for rows in self._sensors.values()),
+                       default=NEVER_NS)
         begin_ns = max(self._begin_ns, first_ns // self._window_ns * self._window_ns)
         return begin_ns if begin_ns <= last_ns else None
 
@@ -385,14 +386,14 @@ class _Rows:
     """
 
     def __init__(self, columns: int, windows: int) -> None:
-        self._new: list[tuple[NDArray[np.int64], Floats]] = []
-        self._aside = deque[tuple[NDArray[np.int64], Floats]](maxlen=windows)
+        self._new: list[tuple[Ints, Floats]] = []
+        self._aside = deque[tuple[Ints, Floats]](maxlen=windows)
         self._sorted = np.empty(0, np.int64), np.empty((0, columns))
 
-    def put(self, stamps_ns: NDArray[np.int64], values: Floats) -> None:
+    def put(self, stamps_ns: Ints, values: Floats) -> None:
         self._new.append((stamps_ns, values))
 
-    def _all(self) -> tuple[NDArray[np.int64], Floats]:
+    def _all(self) -> tuple[Ints, Floats]:
         """Return all stamps and values, sorted by stamp."""
         if self._new:
             stamps_ns, values = map(np.concatenate, zip(self._sorted, *self._new))
@@ -414,8 +415,7 @@ class _Rows:
         row = stamps_ns.searchsorted(since_ns)
         return int(stamps_ns[row]) if row < len(stamps_ns) else NEVER_NS
 
-    def between(self, begin_ns: int, end_ns: int,
-                earlier: int = 0) -> tuple[NDArray[np.int64], Floats]:
+    def between(self, begin_ns: int, end_ns: int, earlier: int = 0) -> tuple[Ints, Floats]:
         """Return stamps and values between two times, plus up to `earlier` preceding values."""
         stamps_ns, values = self._all()
         if len(stamps_ns) and begin_ns < stamps_ns[0]:
@@ -504,9 +504,6 @@ class Alarms:
         #: divided by the probability below which the test raises an alarm.
         self._ratios = dict.fromkeys(_TOGETHER, np.inf)
         self._level, self._since_ns = OK, 0
-        # Import now, so that the import does not delay the judgement of the first window.
-        from scipy.special import chdtrc, ndtri
-        self._tail, self._quantile = chdtrc, ndtri
 
     def judged(self, error: WindowError) -> Judgement:
         """Judge the next window."""
@@ -514,14 +511,14 @@ class Alarms:
         change = np.concatenate([error.attitude, error.rate])[first:]
         covariance = error.covariance[first:, first:]
         square = change @ np.linalg.solve(covariance, change)
-        self._ratios[1] = self._tail(len(change), square) / self._usual
+        self._ratios[1] = chdtrc(len(change), square) / self._usual
         weight = np.linalg.inv(error.torque_covariance)
         for count, group in self._groups.items():
             group.append((weight, weight @ error.torque))
             if len(group) == count:
-                total, product = (np.sum(each, axis=0) for each in zip(*group))
-                found = product @ np.linalg.solve(total, product)
-                self._ratios[count] = self._tail(3, found) / (count * self._usual)
+                total, product = (np.sum(parts, axis=0) for parts in zip(*group))
+                square = product @ np.linalg.solve(total, product)
+                self._ratios[count] = chdtrc(3, square) / (count * self._usual)
                 group.clear()
         windows = min(self._ratios, key=self._ratios.__getitem__)
         ratio = self._ratios[windows]
@@ -529,7 +526,7 @@ class Alarms:
         if level != self._level or not self._since_ns:
             self._level, self._since_ns = level, error.end_ns
         probability = min(ratio * windows * self._usual, 1.0)
-        return Judgement(error, level, float(-self._quantile(0.5 * probability)), windows,
+        return Judgement(error, level, float(-ndtri(0.5 * probability)), windows,
                          _axis(change, covariance), self._since_ns)
 
 

@@ -21,7 +21,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.inference.noise import FEWEST, JUMP
@@ -114,12 +114,12 @@ class Recorded:
                              f'{len(motion)} parts with at least {fewest} samples')
         return cls(motion, sensor, int(np.median(np.diff(motion.stamps_ns))))
 
-    def is_known(self, times_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def is_known(self, times_ns: Ints) -> NDArray[np.bool_]:
         """Return a mask of the times that are not in a gap between the samples."""
         rows = np.clip(np.searchsorted(self._stamps_ns, times_ns) - 1, 0,
                        len(self._stamps_ns) - 2)
-        known = np.diff(self._stamps_ns)[rows] <= _GAP * self.spacing_ns
-        return known if self.spacing_ns else np.ones(len(times_ns), bool)
+        is_near = np.diff(self._stamps_ns)[rows] <= _GAP * self.spacing_ns
+        return is_near if self.spacing_ns else np.ones(len(times_ns), bool)
 
     #: A recorded motion has no torques. A window asks for them, and for the two methods below.
     fields = logs = actuators = ()
@@ -128,16 +128,16 @@ class Recorded:
         """Return the same motion."""
         return self
 
-    def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
+    def rotor_momentum(self, times_ns: Ints) -> Floats:
         """Return zeros, shape (m, 3)."""
         return np.zeros((len(times_ns), 3))
 
-    def angular_acceleration(self, times_ns: NDArray[np.int64]) -> Floats:
+    def angular_acceleration(self, times_ns: Ints) -> Floats:
         """Return the angular acceleration, rad/s^2, body axes, shape (m, 3)."""
         before, after = (self.propagate(at=times_ns + step) for step in (-_STEP_NS, _STEP_NS))
         return (after.angular_velocity - before.angular_velocity) / (2e-9 * _STEP_NS)
 
-    def propagate(self, *, at: NDArray[np.int64]) -> Poses:
+    def propagate(self, *, at: Ints) -> Poses:
         """Return the states at the given times, interpolated by `hermite.between`."""
         stamps_ns, (attitude, rates) = self._stamps_ns, self._poses
         rows = np.clip(np.searchsorted(stamps_ns, at, 'right') - 1, 0, len(stamps_ns) - 2)
@@ -165,13 +165,14 @@ def _polynomials(sensor: Measured, half: int) -> tuple[Measured, float]:
     times = seconds[around] - seconds[middle, None]
     columns = (times[..., None] / length) ** np.arange(3 if half < 4 else 4)
     normal = np.einsum('nki,nkj->nij', columns, columns)
-    found = np.linalg.solve(normal, np.einsum('nki,nkx->nix', columns, turns))
+    coefficients = np.linalg.solve(normal, np.einsum('nki,nkx->nix', columns, turns))
     # A short manoeuvre shows in few parts, so use a high quantile, divided by that of chi-square.
-    left = np.quantile(np.sum((turns - columns @ found) ** 2, axis=(1, 2)), _QUANTILE)
+    left = np.quantile(np.sum((turns - columns @ coefficients) ** 2, axis=(1, 2)), _QUANTILE)
     usual = chdtri(3.0 * (around.shape[1] - columns.shape[2]), 1.0 - _QUANTILE)
     # The derivative of a small rotation vector is the angular velocity in body axes.
     motion = Measured(sensor.topic, sensor.stamps_ns[middle],
-                      so3.multiply(attitude[middle], so3.exp(found[:, 0])), found[:, 1] / length)
+                      so3.multiply(attitude[middle], so3.exp(coefficients[:, 0])),
+                      coefficients[:, 1] / length)
     return motion, float(np.sqrt(left / usual))
 
 
@@ -189,7 +190,7 @@ def span_of(motion: Motion) -> tuple[int, int]:
     return motion.start.time_ns, motion.end_ns if isinstance(motion, Recorded) else NEVER_NS // 2
 
 
-def inside(motion: Motion, times_ns: NDArray[np.int64], margin_ns: int = 0) -> NDArray[np.bool_]:
+def inside(motion: Motion, times_ns: Ints, margin_ns: int = 0) -> NDArray[np.bool_]:
     """
     Return a mask of the times that are inside a motion.
 
@@ -224,12 +225,9 @@ def errors_of(sensor: Measured, states: Poses) -> tuple[Floats | None, Floats | 
         Measured minus computed angular velocity, rad/s, body axes.
 
     """
-    rotation = rate = None
-    if sensor.attitude is not None:
-        rotation = so3.difference(states.attitude, sensor.attitude)
-    if sensor.angular_velocity is not None:
-        rate = sensor.angular_velocity - states.angular_velocity
-    return rotation, rate
+    attitude, rates = sensor.attitude, sensor.angular_velocity
+    return (None if attitude is None else so3.difference(states.attitude, attitude),
+            None if rates is None else rates - states.angular_velocity)
 
 
 def apart(motion: Motion, sensors: Sequence[Measured]) -> InputError:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.mechanics import so3
 
 #: Probability of a false alarm in each test.
@@ -204,8 +204,7 @@ def _lagged(parts: Sequence[Floats], lag: int) -> float:
     return float(np.mean(np.concatenate(finite))) if any(map(len, finite)) else 0.0
 
 
-def spread_of(stamps_ns: NDArray[np.int64], errors: Floats,
-              is_attitude: bool = False) -> Floats:
+def spread_of(stamps_ns: Ints, errors: Floats, is_attitude: bool = False) -> Floats:
     """
     Estimate the noise of some errors from how far each is from the line between its neighbours.
 
@@ -307,7 +306,7 @@ class NoiseLevel:
         return (1.0 + self._correlation) / (1.0 - self._correlation)
 
     @property
-    def found(self) -> float:
+    def size(self) -> float:
         """Return the standard deviation of each component, estimated from the samples."""
         count, squares, _ = self._sums
         return float(np.sqrt(squares / count / 2.0 / (1.0 - self._correlation)))

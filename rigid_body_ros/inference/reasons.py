@@ -94,32 +94,32 @@ def halves(solution: Solution) -> tuple[list[Reason], dict[str, float], float]:
     if not solution.problem.parameters.size:
         return [], {}, 1.0
     problem = widened(solution, pieces=2)
-    given, scales = linear(problem), problem.parameters.scales
-    matrix, errors = given.stacked()
-    if len({*given.is_late}) < 2:
+    fit, scales = linear(problem), problem.parameters.scales
+    matrix, errors = fit.stacked()
+    if len({*fit.is_late}) < 2:
         return [], {}, 1.0
-    second = given.split([*range(matrix.shape[1])], given.is_late)
+    second = fit.split([*range(matrix.shape[1])], fit.is_late)
     drop, rank, p = explained(second, matrix, errors)
     ratio = max(float(np.sqrt(drop / max(rank, 1))), 1.0)
     (early, early_sigma), (late, late_sigma) = (solved(half, errors)
                                                 for half in (matrix - second, second))
     apart, sigma = np.abs(early - late), np.hypot(early_sigma, late_sigma)
     # A difference that is visible, if not significant, tells how far the fit may be off.
-    drift = dict(zip(given.names, np.where(apart > sigma, np.nan_to_num(apart) * scales,
+    drift = dict(zip(fit.names, np.where(apart > sigma, np.nan_to_num(apart) * scales,
                                            0.0).tolist()))
     reasons = [Reason(f'the two halves of the recording give different values ({probability(p)})',
                       is_contradiction=True)] if p < ALARM else []
     return reasons, drift, ratio
 
 
-def tests_of(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
+def tests_of(solution: Solution, noises: list[list[Noise]]) -> Iterator[Reason]:
     """Generate the reasons against the model that its errors give, from noise of a given form."""
-    yield from _of_noise(solution, found)
+    yield from _of_noise(solution, noises)
     yield from _of_outliers(solution)
-    yield from _of_correlation(solution, found)
+    yield from _of_correlation(solution, noises)
 
 
-def _of_noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
+def _of_noise(solution: Solution, noises: list[list[Noise]]) -> Iterator[Reason]:
     """
     Generate a reason against the model for each channel whose noise is too large.
 
@@ -128,41 +128,41 @@ def _of_noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
     """
     from scipy.special import ndtr
     setup, every = solution.problem.setup, of_training(solution)
-    for one, noise in zip(every, chain(*found)):
-        size = rms(one.kept) / np.sqrt(3.0)
-        if one.is_attitude and size > MISFIT:
-            yield Reason(f'{one.topic}: attitude errors of {size:.2g} rad are not the noise of a '
+    for part, noise in zip(every, chain(*noises)):
+        size = rms(part.kept) / np.sqrt(3.0)
+        if part.is_attitude and size > MISFIT:
+            yield Reason(f'{part.topic}: attitude errors of {size:.2g} rad are not the noise of a '
                          'sensor', True)
-        elif not one.is_attitude and size > _NOISIEST_RATE * max(
-                1.0, rms(one.measured) / np.sqrt(3.0)):
-            yield Reason(f'{one.topic}: errors of {size:.2g} rad/s are not the noise of a gyro',
+        elif not part.is_attitude and size > _NOISIEST_RATE * max(
+                1.0, rms(part.measured) / np.sqrt(3.0)):
+            yield Reason(f'{part.topic}: errors of {size:.2g} rad/s are not the noise of a gyro',
                          True)
         others = float(np.median([other.noise for other in every if (
-            other.topic, other.is_attitude) == (one.topic, one.is_attitude)]))
+            other.topic, other.is_attitude) == (part.topic, part.is_attitude)]))
         if size > _NOISIER * others:
-            yield Reason(f'recording {one.recording + 1} does not fit the others: the errors of '
-                         f'{one.topic} are {size / others:.2g} times as large')
-        given = setup.noise_of(one.is_attitude)
-        spread = np.sqrt(2.0 * noise.overlap / max(one.kept.size, 1))
-        if given and ndtr((1.0 - (size / given) ** 2) / spread) < ALARM:
-            yield Reason(f'{one.topic}: errors of {size:.2g} exceed the given noise of '
-                         f'{given:.2g}')
+            yield Reason(f'recording {part.recording + 1} does not fit the others: the errors of '
+                         f'{part.topic} are {size / others:.2g} times as large')
+        stated = setup.noise_of(part.is_attitude)
+        spread = np.sqrt(2.0 * noise.overlap / max(part.kept.size, 1))
+        if stated and ndtr((1.0 - (size / stated) ** 2) / spread) < ALARM:
+            yield Reason(f'{part.topic}: errors of {size:.2g} exceed the given noise of '
+                         f'{stated:.2g}')
 
 
 def _of_outliers(solution: Solution) -> Iterator[Reason]:
     """Generate a reason against the model for each channel with clustered or too many outliers."""
-    for one in of_training(solution):
-        bad = ~one.inliers
+    for part in of_training(solution):
+        bad = ~part.inliers
         if bad.sum() < FEWEST:
             continue
         together, share = come_together(bad), float(np.mean(bad))
         if together or share > _MOST_OUTLIERS:
             how = 'in clusters' if together else 'more than a sensor has'
-            yield Reason(f'{one.topic}: {100.0 * share:.2g} % of the samples are outliers, {how}',
+            yield Reason(f'{part.topic}: {100.0 * share:.2g} % of the samples are outliers, {how}',
                          share > _MOST_OUTLIERS)
 
 
-def _of_correlation(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
+def _of_correlation(solution: Solution, noises: list[list[Noise]]) -> Iterator[Reason]:
     """
     Generate a reason against the model for each channel with errors that persist.
 
@@ -173,7 +173,7 @@ def _of_correlation(solution: Solution, found: list[list[Noise]]) -> Iterator[Re
     for k, window in enumerate(problem.windows):
         for channel, errors in split_channels(problem, k,
                                               problem.scaled_errors(k, solution.physics)):
-            noise = found[window.experiment][channel]
+            noise = noises[window.experiment][channel]
             left = noise.innovations(errors)
             stamps_ns = window.channels[channel].stamps_ns
             spacing = max(float(np.median(np.diff(stamps_ns))) * 1e-9, 1e-9) \
@@ -182,11 +182,11 @@ def _of_correlation(solution: Solution, found: list[list[Noise]]) -> Iterator[Re
             if len(left) >= size:
                 sums.setdefault((window.experiment, channel), []).append(batches_of(left, size))
     for (number, channel), parts in sums.items():
-        p = chance(found[number][channel], np.concatenate(parts, axis=1))
+        p = chance(noises[number][channel], np.concatenate(parts, axis=1))
         if p < ALARM:
-            one = problem.setup.channels[number][channel]
-            what = 'attitude' if one.is_attitude else 'angular velocity'
-            yield Reason(f'{one.topic}: errors of the {what} last for a second or more '
+            measured = problem.setup.channels[number][channel]
+            what = 'attitude' if measured.is_attitude else 'angular velocity'
+            yield Reason(f'{measured.topic}: errors of the {what} last for a second or more '
                          f'({probability(p)})')
 
 
@@ -234,9 +234,9 @@ def _persistence(errors: Floats, inliers: NDArray[np.bool_]) -> float:
     """
     kept = inliers & np.isfinite(errors[:, 0])
     errors = np.where(kept[:, None], errors, 0.0)
-    found = correlations(errors, kept).mean(axis=1)
-    ends = np.flatnonzero(found <= 0.0)
-    times = [float(1.0 + 2.0 * np.sum(found[1:ends[0] if len(ends) else None]))]
+    correlation = correlations(errors, kept).mean(axis=1)
+    ends = np.flatnonzero(correlation <= 0.0)
+    times = [float(1.0 + 2.0 * np.sum(correlation[1:ends[0] if len(ends) else None]))]
     for count in _BATCHES:
         means, squares = batches_of(errors, max(len(errors) // count, 1))
         times.append(float(means.sum() / max(squares.sum(), 1e-300)))
@@ -246,11 +246,11 @@ def _persistence(errors: Floats, inliers: NDArray[np.bool_]) -> float:
 def left_by(solution: Solution) -> Iterator[tuple[str, float]]:
     """Generate a text and a number for each quantity, which say what the model cannot explain."""
     quantities: dict[tuple[str, bool], list[Residuals]] = {}
-    for one in of_training(solution):
-        quantities.setdefault((one.topic, one.is_attitude), []).append(one)
+    for part in of_training(solution):
+        quantities.setdefault((part.topic, part.is_attitude), []).append(part)
     for parts in quantities.values():
-        what, part = unexplained(parts)
-        yield f'{parts[0].topic}: the model leaves {what} unexplained (rms)', part
+        what, size = unexplained(parts)
+        yield f'{parts[0].topic}: the model leaves {what} unexplained (rms)', size
 
 
 def at_rest(solution: Solution) -> str:
@@ -258,38 +258,38 @@ def at_rest(solution: Solution) -> str:
     setup = solution.problem.setup
     fits_motion = not all(map(is_of_sensor, setup.parameters.groups))
     # A quantity without samples shows nothing.
-    quantities = [one for one in of_training(solution) if one.inliers.any()]
-    if not setup.is_computed or any(_turns(one) or _is_explained(one, fits_motion)
-                                    for one in quantities):
+    quantities = [part for part in of_training(solution) if part.inliers.any()]
+    if not setup.is_computed or any(_turns(part) or _is_explained(part, fits_motion)
+                                    for part in quantities):
         return ''
     acts = any(log.torques.any() for log in setup.logs)
     return 'the body does not visibly move: ' + (
         'the logged torque has no visible effect' if acts else 'this says nothing about it')
 
 
-def _turns(one: Residuals) -> bool:
+def _turns(part: Residuals) -> bool:
     """Return whether a quantity shows that the body turns by more than noise and a gyro's bias."""
-    turned = _about_mean(one)
-    if not one.is_attitude:
-        seconds = 1e-9 * np.diff(one.kept_ns, prepend=one.kept_ns[0])
+    turned = _about_mean(part)
+    if not part.is_attitude:
+        seconds = 1e-9 * np.diff(part.kept_ns, prepend=part.kept_ns[0])
         turned = np.cumsum(seconds[:, None] * turned, axis=0)
         # The integral is about the mean: it hides a steady rotation, which no bias explains.
-        if rms(one.measured[one.inliers].mean(axis=0)[None]) > _BIAS:
+        if rms(part.measured[part.inliers].mean(axis=0)[None]) > _BIAS:
             return True
     return rms(turned) > _STILL
 
 
-def _is_explained(one: Residuals, fits_motion: bool) -> bool:
+def _is_explained(part: Residuals, fits_motion: bool) -> bool:
     """Return whether the model explains a quantity better than a constant does."""
-    left, size = rms(one.kept), rms(_about_mean(one))
+    left, size = rms(part.kept), rms(_about_mean(part))
     # If nothing is fitted to the motion, a model that is right leaves the noise about the mean.
     return left < (np.sqrt(_LEFT) if fits_motion else _LARGER) * size or not (left or fits_motion)
 
 
-def _about_mean(one: Residuals) -> Floats:
+def _about_mean(part: Residuals) -> Floats:
     """Return a measured quantity relative to its mean, as rotation vectors or rates."""
-    values = one.measured[one.inliers]
-    return so3.difference(davenport(values), values) if one.is_attitude \
+    values = part.measured[part.inliers]
+    return so3.difference(davenport(values), values) if part.is_attitude \
         else values - values.mean(axis=0)
 
 
@@ -312,9 +312,9 @@ def scattered(solution: Solution) -> tuple[list[str], dict[str, float]]:
     if count < _RECORDINGS or not size:
         return [], {}
     problem = widened(solution)
-    given = linear(problem)
+    fit = linear(problem)
     matrices, gradients = np.zeros((count, size, size)), np.zeros((count, size, 1))
-    for window, block in zip(problem.windows, given.blocks):
+    for window, block in zip(problem.windows, fit.blocks):
         matrices[window.experiment] += block[:, :-1].T @ block[:, :-1]
         gradients[window.experiment] += block[:, :-1].T @ block[:, -1:]
     squares = np.linalg.solve(matrices + _HELD * matrices.mean(axis=0), gradients)[:, :, 0] ** 2
@@ -323,4 +323,4 @@ def scattered(solution: Solution) -> tuple[list[str], dict[str, float]]:
     ratios = np.sqrt(np.max(squares / np.maximum(others, 1e-300), axis=1))
     texts = [f'recording {k + 1} does not fit the others: alone, it differs {ratios[k]:.2g} '
              'times as much as they do' for k in np.flatnonzero(ratios > _APART)]
-    return texts, dict(zip(given.names, (sizes * problem.parameters.scales).tolist()))
+    return texts, dict(zip(fit.names, (sizes * problem.parameters.scales).tolist()))

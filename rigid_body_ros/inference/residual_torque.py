@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import entries, Floats, symmetric
+from rigid_body_ros.common.arrays import entries, Floats, Ints, symmetric
 from rigid_body_ros.inference.noise import FEWEST, JUMP
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.fields import UniformField
@@ -81,7 +81,7 @@ class ResidualTorque:
 
     """
 
-    times_ns: NDArray[np.int64]
+    times_ns: Ints
     torques: Floats
     noise: Floats
     window_s: float
@@ -148,11 +148,11 @@ def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None
     uniform, gradients = _of_fields(problem, stamps_ns, sensor)
     parts = [rates @ unit - _integral(seconds, np.cross(rates @ unit, rates) + gradient)
              for unit, gradient in zip(_UNITS, gradients)]
-    known = momenta - _integral(seconds, np.cross(momenta, rates)) \
+    others = momenta - _integral(seconds, np.cross(momenta, rates)) \
         + _integral(seconds, rates @ body.damping - uniform)
     logged = impulses(problem, stamps_ns, sensor)
     momentum = sum(entry * part for entry, part in zip(entries(body.inertia), parts)) \
-        + known - logged
+        + others - logged
     rows, slopes, variances = _slopes(seconds, np.stack([momentum, logged, *parts]), window)
     if not len(rows):
         return None
@@ -162,8 +162,7 @@ def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None
         slopes[:, 1], slopes[:, 2:].swapaxes(1, 2))
 
 
-def _of_fields(problem: Problem, stamps_ns: NDArray[np.int64],
-               sensor: Measured) -> tuple[Floats, Floats]:
+def _of_fields(problem: Problem, stamps_ns: Ints, sensor: Measured) -> tuple[Floats, Floats]:
     """
     Return the torques of the fields at the given stamps, in two parts.
 
@@ -174,16 +173,16 @@ def _of_fields(problem: Problem, stamps_ns: NDArray[np.int64],
     if not problem.fields:
         return uniform, gradients
     attitude = _attitude(problem, stamps_ns, sensor)
-    for one in problem.fields:
-        if isinstance(one, UniformField):
-            uniform += one.torque(problem.body, stamps_ns, attitude)
+    for field in problem.fields:
+        if isinstance(field, UniformField):
+            uniform += field.torque(problem.body, stamps_ns, attitude)
         else:
-            r = so3.rotate(so3.conjugate(attitude), one.directions(stamps_ns))
-            gradients += [3.0 * one.mean_motion ** 2 * np.cross(r, r @ unit) for unit in _UNITS]
+            r = so3.rotate(so3.conjugate(attitude), field.directions(stamps_ns))
+            gradients += [3.0 * field.mean_motion ** 2 * np.cross(r, r @ unit) for unit in _UNITS]
     return uniform, gradients
 
 
-def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -> Floats:
+def impulses(problem: Problem, stamps_ns: Ints, sensor: Measured) -> Floats:
     """
     Return the impulses of the logged torques from the first stamp to each stamp.
 
@@ -211,7 +210,7 @@ def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -
     return total + _lag_impulses(problem, lagging, stamps_ns, sensor) if lagging else total
 
 
-def _lag_impulses(problem: Problem, lagging: LaggingSources, stamps_ns: NDArray[np.int64],
+def _lag_impulses(problem: Problem, lagging: LaggingSources, stamps_ns: Ints,
                   sensor: Measured) -> Floats:
     """Return the difference that actuator lags make to the impulses of the commanded torques."""
     changes = np.concatenate([lagging.marks_ns, *(
@@ -225,8 +224,7 @@ def _lag_impulses(problem: Problem, lagging: LaggingSources, stamps_ns: NDArray[
     return np.asarray(sums[np.searchsorted(ends, stamps_ns)])
 
 
-def _in_body(problem: Problem, log: TorqueLog, times: NDArray[np.int64],
-             sensor: Measured) -> Floats:
+def _in_body(problem: Problem, log: TorqueLog, times: Ints, sensor: Measured) -> Floats:
     torques, in_space = log.at(times, problem.options.timeout_ns)
     rows = np.flatnonzero(in_space)
     if rows.size:
@@ -235,7 +233,7 @@ def _in_body(problem: Problem, log: TorqueLog, times: NDArray[np.int64],
     return torques
 
 
-def _attitude(problem: Problem, times_ns: NDArray[np.int64], sensor: Measured) -> Floats:
+def _attitude(problem: Problem, times_ns: Ints, sensor: Measured) -> Floats:
     """
     Return the attitudes at given times.
 
@@ -246,8 +244,7 @@ def _attitude(problem: Problem, times_ns: NDArray[np.int64], sensor: Measured) -
     return interpolated(sensor.stamps_ns, sensor.attitude, times_ns)
 
 
-def interpolated(stamps_ns: NDArray[np.int64], attitude: Floats,
-                 times_ns: NDArray[np.int64]) -> Floats:
+def interpolated(stamps_ns: Ints, attitude: Floats, times_ns: Ints) -> Floats:
     """
     Return attitudes at the times `times_ns`, shape (m, 4).
 
@@ -259,8 +256,7 @@ def interpolated(stamps_ns: NDArray[np.int64], attitude: Floats,
     return so3.multiply(attitude[rows], so3.exp(part[:, None] * step))
 
 
-def without_outliers(stamps_ns: NDArray[np.int64], rates: Floats
-                     ) -> tuple[NDArray[np.int64], Floats]:
+def without_outliers(stamps_ns: Ints, rates: Floats) -> tuple[Ints, Floats]:
     """
     Remove gross outliers from angular velocities.
 
@@ -334,7 +330,7 @@ def _slopes(seconds: Floats, values: Floats, half: int
     return np.flatnonzero(is_whole) + half, slopes[is_whole], variances[is_whole]
 
 
-def measured_rates(sensor: Measured, lag: int = 1) -> tuple[NDArray[np.int64], Floats]:
+def measured_rates(sensor: Measured, lag: int = 1) -> tuple[Ints, Floats]:
     """
     Return the angular velocities of a sensor.
 

@@ -99,7 +99,7 @@ class Verdict:
     def as_dict(self) -> dict[str, Any]:
         """Return the verdict under the names used in the JSON file."""
         return {'level': self.level, 'consistent': self.is_consistent, 'reasons': self.reasons,
-                'suspects': [one.as_dict() for one in self.suspects]}
+                'suspects': [suspect.as_dict() for suspect in self.suspects]}
 
     def rows(self, has_estimates: bool = False) -> Iterator[tuple[str, str]]:
         """Generate the verdict, the reasons and the suspects, each as a name and a text."""
@@ -107,8 +107,8 @@ class Verdict:
         yield 'verdict', f'{self.level}: {_MEANINGS[self.level]}{consequence}'
         for reason in self.reasons:
             yield 'reason', reason
-        for one in self.suspects:
-            yield 'suspect', one.described()
+        for suspect in self.suspects:
+            yield 'suspect', suspect.described()
 
 
 def tried(findings: Findings, every: Sequence[Sequence[Measured]]
@@ -127,10 +127,10 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
     """
     solution, result = findings.solution, []
     setup = solution.problem.setup
-    chances = {one.name: one.p for one in findings.suspects if not one.text}
+    chances = {suspect.name: suspect.p for suspect in findings.suspects if not suspect.text}
     names = [*chances][:_TRIED]
     is_bad_fit = findings.reasons and findings.noises and not any(
-        one.text and one.name != INERTIA_CHANGE for one in findings.suspects)
+        suspect.text and suspect.name != INERTIA_CHANGE for suspect in findings.suspects)
     if is_bad_fit and 'inertia' in setup.candidates() and 'inertia' not in names:
         names.append('inertia')  # always try it: the guess may be too poor for a score test
     if not names:
@@ -142,7 +142,8 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
         except ValueError:  # the motion of this fit cannot be computed
             continue
         drop = max(before - sum_of_squares(fit, solution.weights), 0.0)
-        value = value_of(fit, name)
+        parameters = fit.problem.parameters
+        value = parameters.values(fit.physics)[parameters.columns([name])].tolist()
         p = tail(drop, len(value))
         # Check again: the score test is linear and may have predicted too much. A suspect that
         # makes the errors white is named, even if they last too long for a test without it.
@@ -169,16 +170,16 @@ def with_intervals(findings: Findings, attempts: Sequence[Suspect],
 
     """
     suspects = _ranked(findings, attempts)[:_LISTED]
-    best = max((one.chi2_drop for one in attempts), default=0.0)
+    best = max((suspect.chi2_drop for suspect in attempts), default=0.0)
     counted = [move for suspect, move in zip(attempts, moved)
                if suspect.chi2_drop >= _COUNTS * best]
     # Either a suspect is the cause, or it is not: half the square of the change is the variance.
     # A bound, as for `with_bound`, has this variance if its square is larger by one half.
     parts = [(1.0, findings.drift), *((1.5, move) for move in counted)]
-    systematic = {name: float(np.sqrt(np.nansum([factor * one.get(name, 0.0) ** 2
-                                                 for factor, one in parts])))
-                  for name in dict.fromkeys(name for _, one in parts for name in one)}
-    is_rejected = not attempts and any(one.is_contradiction for one in findings.reasons)
+    systematic = {name: float(np.sqrt(np.nansum([factor * part.get(name, 0.0) ** 2
+                                                 for factor, part in parts])))
+                  for name in dict.fromkeys(chain(*(part for _, part in parts)))}
+    is_rejected = not attempts and any(reason.is_contradiction for reason in findings.reasons)
     verdict = _judged(findings, suspects, is_rejected)
     return verdict, {} if verdict.is_consistent else systematic
 
@@ -191,14 +192,14 @@ def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
     suspects are ranked by the drop in the chi-square of the fit. A change in the inertia is always
     ranked by this drop, because no fit includes such a change.
     """
-    ranked = sorted(attempts, key=lambda one: (one.validation_chi2_per_dof or 0.0,
-                                               -one.chi2_drop))
+    ranked = sorted(attempts, key=lambda suspect: (suspect.validation_chi2_per_dof or 0.0,
+                                               -suspect.chi2_drop))
     command = partial(command_with, findings.solution.problem.setup)
-    for one in findings.suspects:
-        if one.text:
+    for suspect in findings.suspects:
+        if suspect.text:
             place = next((i for i, other in enumerate(ranked)
-                          if other.chi2_drop < one.chi2_drop), len(ranked))
-            ranked.insert(place, _advised(one, command))
+                          if other.chi2_drop < suspect.chi2_drop), len(ranked))
+            ranked.insert(place, _advised(suspect, command))
     return ranked
 
 
@@ -214,12 +215,12 @@ def scored(findings: Findings, command: Callable[[str], str]) -> Verdict:
         Returns the command-line option, or the advice, for a parameter.
 
     """
-    best = max((one.chi2_drop for one in findings.suspects), default=0.0)
+    best = max((suspect.chi2_drop for suspect in findings.suspects), default=0.0)
     # Of the best suspects, which explain about as much, the simplest comes first.
-    alike = [one for one in findings.suspects if one.chi2_drop >= _ALIKE * best]
-    ranked = [*sorted(alike, key=lambda one: len(one.value)),
-              *(one for one in findings.suspects if one not in alike)]
-    return _judged(findings, [_advised(one, command) for one in ranked[:_LISTED]],
+    alike = [suspect for suspect in findings.suspects if suspect.chi2_drop >= _ALIKE * best]
+    ranked = [*sorted(alike, key=lambda suspect: len(suspect.value)),
+              *(suspect for suspect in findings.suspects if suspect not in alike)]
+    return _judged(findings, [_advised(suspect, command) for suspect in ranked[:_LISTED]],
                    best > LARGE * findings.solution.count)
 
 
@@ -246,8 +247,8 @@ def _advised(suspect: Suspect, command: Callable[[str], str]) -> Suspect:
 
 def _words(suspects: Sequence[Suspect]) -> str:
     best, *others = suspects
-    alike = [one.name for one in others if one.chi2_drop >= _ALIKE * best.chi2_drop
-             and one.name != INERTIA_CHANGE]
+    alike = [other.name for other in others if other.chi2_drop >= _ALIKE * best.chi2_drop
+             and other.name != INERTIA_CHANGE]
     text = f'{best.name} would explain more ({probability(best.p)})'
     return f'{text}, and {listed(alike)} about as much' if alike else text
 
@@ -268,8 +269,8 @@ def with_suspect(solution: Solution, name: str) -> Solution:
     wider = setup.extended(physics, [name])
     parameters = wider.parameters
     sizes = zip(parameters.names, parameters.values(parameters.guess), parameters.plausible)
-    own = {one: Prior(float(value), float(size)) for one, value, size in sizes
-           if one not in setup.parameters.names}
+    own = {component: Prior(float(value), float(size)) for component, value, size in sizes
+           if component not in setup.parameters.names}
     wider = replace(wider, parameters=parameters.with_priors({**parameters.priors, **own}))
     old = solution.problem
     problem = LeastSquares(wider, old.windows, old.reference, solution.weights)
@@ -281,14 +282,8 @@ def sum_of_squares(solution: Solution, weights: Weights) -> float:
     """Return the sum of squares of errors and priors, each in its standard deviations."""
     problem = solution.problem.weighted(weights)
     errors = [problem.scaled_errors(k, solution.physics) for k in range(len(problem.windows))]
-    return float(sum(np.sum(one ** 2) for one in (
+    return float(sum(np.sum(parts ** 2) for parts in (
         problem.parameters.surprise(solution.physics), *errors)))
-
-
-def value_of(solution: Solution, name: str) -> list[float]:
-    """Return the estimated values of the components of a suspect, in their units."""
-    parameters = solution.problem.setup.parameters
-    return parameters.values(solution.physics)[parameters.columns([name])].tolist()
 
 
 def command_with(setup: Setup, name: str) -> str:
@@ -296,7 +291,7 @@ def command_with(setup: Setup, name: str) -> str:
     kind, topic = split_topic(name)
     names = [*setup.parameters.groups, *([START] if setup.fits_start else [])]
     replaced = {'inertia': 'inertia_diagonal', 'torque_gains': 'torque_gain'}.get(name)
-    names = [each for each in names if each != replaced]
+    names = [other for other in names if other != replaced]
     if topic and kind in names:  # each sensor gets a separate value
         names.remove(kind)
         channels = [channel for every in setup.channels for channel in every]

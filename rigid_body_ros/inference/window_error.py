@@ -29,8 +29,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.inference.guess import IDENTITY
 from rigid_body_ros.inference.motion import errors_of
 from rigid_body_ros.inference.noise import NoiseLevel
@@ -102,7 +101,7 @@ class _Estimate(NamedTuple):
     outliers: int
     #: Times of the samples, ns, shape (m,). For each time, `gain`, shape (p, m, 6), holds the
     #: correction that a unit error in each component causes.
-    times_ns: NDArray[np.int64]
+    times_ns: Ints
     gain: Floats
 
     def by(self, errors: Floats) -> Floats:
@@ -198,8 +197,7 @@ def _longest(sensors: Sequence[Measured], name: str) -> Measured | None:
 
 
 def _estimated(problem: Problem, start: State, until_ns: int, sensors: Sequence[Measured],
-               noises: Sequence[Levels], fitted: slice
-               ) -> tuple[State, _Estimate, Poses, Floats]:
+               noises: Sequence[Levels], fitted: slice) -> tuple[State, _Estimate, Poses, Floats]:
     """
     Correct the `fitted` components of a start until the motion fits the samples of some sensors.
 
@@ -222,7 +220,7 @@ def _estimated(problem: Problem, start: State, until_ns: int, sensors: Sequence[
     return start, estimate, states, derivatives[-1]
 
 
-def _solved(times_ns: NDArray[np.int64], states: Poses, derivatives: Floats,
+def _solved(times_ns: Ints, states: Poses, derivatives: Floats,
             sensors: Sequence[Measured], noises: Sequence[Levels]) -> _Estimate:
     """Return the correction of the start that fits the samples best."""
     count, outliers = derivatives.shape[2], 0

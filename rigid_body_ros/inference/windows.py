@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.inference.coordinates import Physics
 from rigid_body_ros.inference.motion import Motion, poses_of, Recorded, span_of
 from rigid_body_ros.mechanics import so3
@@ -53,7 +53,7 @@ from rigid_body_ros.scene.quantities import (
 _SHORTEST = 1e-6
 #: The parameters of a problem that contain some parameters of a fit.
 _OF_PROBLEM = {'inertia_diagonal': 'inertia', WEIGHT: f'{WEIGHT}.{MOMENT}'}
-Stamps = Sequence[NDArray[np.int64]]
+Stamps = Sequence[Ints]
 #: Parameters of clocks.
 CLOCKS = 'clock_offset', 'clock_drift'
 
@@ -122,18 +122,13 @@ class Window:
     _applied: tuple[bytes, Problem] | None = field(init=False, default=None)
     #: A cache of the sample times: the times of all channels in the latest prediction, the indices
     #: of each channel's times in the union of all times, and the union itself.
-    _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(
+    _times: tuple[Stamps, list[NDArray[np.intp]], Ints] | None = field(
         init=False, default=None)
 
     @property
     def anchor_ns(self) -> int:
         """Return the beginning of the window, ns."""
         return self.problem.start.time_ns
-
-    @property
-    def has_state(self) -> bool:
-        """Return whether the motion depends on the state at the beginning of the window."""
-        return isinstance(self.problem, Problem)
 
     def predict(self, physics: Physics, state: Poses) -> list[Floats]:
         """
@@ -219,7 +214,7 @@ class Window:
             body=physics.body, start=State(self.anchor_ns, *state, momentum),
             fields=physics.acting(self.problem.fields, groups) or None)
 
-    def _poses(self, physics: Physics, state: Poses, times_ns: NDArray[np.int64]) -> Poses:
+    def _poses(self, physics: Physics, state: Poses, times_ns: Ints) -> Poses:
         """
         Return the motion at given times.
 
@@ -231,7 +226,7 @@ class Window:
         return poses_of(self._moved(physics, state, int(times_ns[-1])).propagate(at=times_ns))
 
     def _derivatives(self, physics: Physics, state: Poses, groups: Sequence[str],
-                     times_ns: NDArray[np.int64]) -> tuple[Poses, dict[str, MotionSlopes]]:
+                     times_ns: Ints) -> tuple[Poses, dict[str, MotionSlopes]]:
         """Return the motion and its derivatives with respect to the start and parameters."""
         if isinstance(self.problem, Recorded):
             none: Floats = np.zeros((len(times_ns), 3, 6))
@@ -259,8 +254,7 @@ class Window:
                     slopes / physics.value(name) for slopes in changes[name]))
         return poses, changes
 
-    def _flow(self, physics: Physics, state: Poses, poses: Poses,
-              times_ns: NDArray[np.int64]) -> MotionSlopes:
+    def _flow(self, physics: Physics, state: Poses, poses: Poses, times_ns: Ints) -> MotionSlopes:
         """Return how the motion changes with time, or zeros where it is not known."""
         first_ns, last_ns = span_of(self.problem)
         inside = ((times_ns >= first_ns) & (times_ns <= last_ns))[:, None]
@@ -272,8 +266,7 @@ class Window:
         return MotionSlopes(*((flow * inside)[..., None]
                               for flow in (poses.angular_velocity, acceleration)))
 
-    def _instants(self, sensors: Sequence[Sensor]
-                  ) -> tuple[list[NDArray[np.intp]], NDArray[np.int64]]:
+    def _instants(self, sensors: Sequence[Sensor]) -> tuple[list[NDArray[np.intp]], Ints]:
         """
         Return where the samples of each channel lie in the union of all sample times.
 
@@ -284,11 +277,6 @@ class Window:
             union = np.unique(np.concatenate(stamps))
             self._times = stamps, [np.searchsorted(union, own) for own in stamps], union
         return self._times[1:]
-
-    @property
-    def size(self) -> int:
-        """Return the total number of samples in all channels."""
-        return sum(len(channel) for channel in self.channels)
 
     def _acting(self, physics: Physics, end_ns: int) -> Problem:
         """
@@ -370,7 +358,7 @@ class Sensor:
     origin_ns: int
 
     @cached_property
-    def stamps_ns(self) -> NDArray[np.int64]:
+    def stamps_ns(self) -> Ints:
         """Return the stamps, ns, corrected for clock offset and clock drift."""
         return clocked(self.channel, self.physics, self.origin_ns)
 
@@ -476,7 +464,7 @@ def topics_of(kind: str, channels: Sequence[Measured]) -> list[str]:
               if not (kind.startswith('gyro') and channel.is_attitude)}]
 
 
-def clocked(channel: Measured, physics: Physics, origin_ns: int) -> NDArray[np.int64]:
+def clocked(channel: Measured, physics: Physics, origin_ns: int) -> Ints:
     """
     Return the stamps of a channel, ns, corrected for clock offset and clock drift.
 

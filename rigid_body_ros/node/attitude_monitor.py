@@ -462,7 +462,7 @@ class AttitudeMonitor(PollingNode):
                 **skipped, 'attitude error (rad)': as_json(error.attitude),
                 'rate error (rad/s)': error.rate.tolist(),
                 'residual torque (N m)': error.torque.tolist(),
-                **{f'noise of {topic} ({unit})': f'{level.found:.3g} (stated {level.stated:g})'
+                **{f'noise of {topic} ({unit})': f'{level.size:.3g} (stated {level.stated:g})'
                    for topic, levels in noises.items()
                    for level, unit in zip(levels, ('rad', 'rad/s')) if level.is_measured}})
 
