@@ -15,20 +15,17 @@
 """
 Read torques and other messages from recordings, and write motions.
 
-Reading: `opening` opens the files of a recording, whatever its format, and `source` reads one
-topic from them. `mcap_file`, `sqlite_file`, `text_files` and `ulog_file` each read some file
-formats, and all of them implement the interface in `file`. `headings` interprets the first line of
-a CSV file, and `unpack` decompresses files and messages. `bulk` decodes messages. `selection` says
-what to read, and how. `torques` turns messages into a torque log and
+Reading: `source` opens the files of a recording, whatever its format, and reads one topic from
+them. `mcap_file`, `sqlite_file`, `text_files` and `ulog_file` each read some file formats, and all
+of them implement the interface in `file`. `unpack` decompresses files and messages. `bulk` decodes
+messages. `selection` says what to read, and how. `torques` turns messages into a torque log and
 splits a node's log into epochs. `problem` combines torque logs with a scene. `measurements` reads
 attitudes and angular velocities, and `quantities` extracts them from messages and tables; the
 result is a `measured.Measured`. `observed` reads torques and measurements together.
 
-Writing: `writer` writes MCAP files, using `container` for the individual records. `folder` adds
-the metadata.yaml file that makes the output a rosbag2 bag.
+Writing: `writer` writes MCAP files and rosbag2 bags, using `container` for the individual records.
 """
 
-from rigid_body_ros.recording.folder import FolderWriter, suffix_of, writer_of
 from rigid_body_ros.recording.problem import chosen, Logged, read_epochs, started
 from rigid_body_ros.recording.problem import read as read_problem
 from rigid_body_ros.recording.selection import Reading, Topics
@@ -36,7 +33,15 @@ from rigid_body_ros.recording.source import joined, Messages, read, Source, topi
 from rigid_body_ros.recording.streams import Stream, streamed, whole
 from rigid_body_ros.recording.torques import epochs, NotInOrderError, torque_log, torque_pieces
 from rigid_body_ros.recording.ulog_file import is_ulog
-from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, Writer
+from rigid_body_ros.recording.writer import (
+    ANGULAR_VELOCITY,
+    ATTITUDE,
+    Column,
+    FolderWriter,
+    suffix_of,
+    Writer,
+    writer_of,
+)
 
 __all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'TORQUES', 'Column', 'FolderWriter', 'Logged',
            'Messages', 'NotInOrderError', 'Reading', 'Source', 'Stream', 'Topics', 'Writer',

@@ -16,28 +16,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+import struct
 from typing import IO, NamedTuple
 import zlib
 
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 from mcap.writer import MCAP0_MAGIC
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +55,8 @@ class Container:
     Attributes
     ----------
     channels : list of Channel
+    chunks : list of ChunkIndex
+        The chunks that have been written to the file.
     counts : dict
         The number of messages in each channel, by channel id.
 
@@ -76,39 +65,37 @@ class Container:
     def __init__(self, stream: IO[bytes], library: str) -> None:
         self._stream = stream
         self._position = 0
-        self._schemas: list[Schema] = []
-        self.channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
-        self._metadata: list[MetadataIndex] = []
+        #: The schemas, by their content, in the order of their numbers.
+        self._schemas: dict[tuple[str, str, bytes], records.Schema] = {}
+        self.channels: list[records.Channel] = []
+        self.chunks: list[records.ChunkIndex] = []
+        self._metadata: list[records.MetadataIndex] = []
         self.counts: dict[int, int] = {}
-        self._first_ns, self._last_ns = 2 ** 63, 0
         self._compressor = ThreadPoolExecutor(1)
-        self._compressed: Future[tuple[Chunk, list[Indexed]]] | None = None
+        self._compressed: Future[tuple[records.Chunk, list[Indexed]]] | None = None
         self._write(MCAP0_MAGIC)
-        self._write(_record(Header('ros2', library)))
+        self._write(_record(records.Header('ros2', library)))
 
-    def add_channel(self, topic: str, schema: Schema | None, metadata: dict[str, str],
+    def add_channel(self, topic: str, schema: records.Schema | None, metadata: dict[str, str],
                     encoding: str = 'cdr') -> int:
         """Add a topic, and its schema if the file does not have it yet; return the channel id."""
         schema_id = 0
         if schema:
             content = schema.name, schema.encoding, schema.data
-            known = [each.id for each in self._schemas
-                     if (each.name, each.encoding, each.data) == content]
-            schema_id = known[0] if known else len(self._schemas) + 1
-            if not known:
-                self._schemas.append(replace(schema, id=schema_id))
-                self._write(_record(self._schemas[-1]))
-        channel = Channel(id=len(self.channels) + 1, topic=topic, message_encoding=encoding,
-                          metadata=metadata, schema_id=schema_id)
+            if content not in self._schemas:
+                self._schemas[content] = replace(schema, id=len(self._schemas) + 1)
+                self._write(_record(self._schemas[content]))
+            schema_id = self._schemas[content].id
+        channel = records.Channel(len(self.channels) + 1, topic, encoding, metadata, schema_id)
         self.channels.append(channel)
         self.counts[channel.id] = 0
         self._write(_record(channel))
         return channel.id
 
-    def type_of(self, channel: Channel) -> str:
+    def type_of(self, channel: records.Channel) -> str:
         """Return the message type of a channel, or '' if the channel has no schema."""
-        return self._schemas[channel.schema_id - 1].name if channel.schema_id else ''
+        return next((schema.name for schema in self._schemas.values()
+                     if schema.id == channel.schema_id), '')
 
     def add_chunk(self, data: bytes, indexed: list[Indexed]) -> None:
         """Append a chunk of message records; `indexed` lists the chunk's messages by channel."""
@@ -120,24 +107,30 @@ class Container:
     def add_metadata(self, name: str, content: dict[str, str]) -> None:
         """Append a metadata record."""
         self._finish_chunk()
-        record = _record(Metadata(name=name, metadata=content))
-        self._metadata.append(MetadataIndex(offset=self._position, length=len(record), name=name))
+        record = _record(records.Metadata(name, content))
+        self._metadata.append(records.MetadataIndex(self._position, len(record), name))
         self._write(record)
 
     def finish(self) -> None:
         """Write the end of the file: index, statistics and footer."""
         self._finish_chunk()
-        self._write(_record(DataEnd(data_section_crc=0)))
-        start = self._position
-        offsets = [self._write_group(opcode, group) for opcode, group in (
-            (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self.channels),
-            (Opcode.STATISTICS, [self._statistics()]), (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.METADATA_INDEX, self._metadata)) if group]
+        self._write(_record(records.DataEnd(data_section_crc=0)))
+        start, offsets = self._position, []
+        for opcode, group in (
+                (Opcode.SCHEMA, self._schemas.values()), (Opcode.CHANNEL, self.channels),
+                (Opcode.STATISTICS, [self._statistics()]), (Opcode.CHUNK_INDEX, self.chunks),
+                (Opcode.METADATA_INDEX, self._metadata)):
+            group_start = self._position
+            for record in group:
+                self._write(_record(record))
+            if group:
+                offsets.append(records.SummaryOffset(opcode, group_start,
+                                                     self._position - group_start))
         offset_start = self._position
         for offset in offsets:
             self._write(_record(offset))
-        self._write(_record(Footer(summary_start=start, summary_offset_start=offset_start,
-                                   summary_crc=0)))
+        self._write(_record(records.Footer(summary_start=start, summary_offset_start=offset_start,
+                                           summary_crc=0)))
         self._write(MCAP0_MAGIC)
         self.close()
 
@@ -158,64 +151,46 @@ class Container:
             index_offsets[channel] = start + len(data)
             entries = np.empty(len(times_ns), _INDEX)
             entries['time'], entries['offset'] = times_ns, offsets
-            builder = RecordBuilder()
-            builder.start_record(Opcode.MESSAGE_INDEX)
-            builder.write2(channel)
-            builder.write4(entries.nbytes)
-            builder.write(entries.tobytes())
-            builder.finish_record()
-            data += builder.end()
+            data += struct.pack('<BQHI', Opcode.MESSAGE_INDEX, 6 + entries.nbytes, channel,
+                                entries.nbytes) + entries.tobytes()
         self._write(data)
-        self._chunks.append(ChunkIndex(
+        self.chunks.append(records.ChunkIndex(
             chunk_length=length, chunk_start_offset=start, compression=chunk.compression,
             compressed_size=len(chunk.data), message_end_time=chunk.message_end_time,
             message_index_length=len(data) - length, message_index_offsets=index_offsets,
             message_start_time=chunk.message_start_time,
             uncompressed_size=chunk.uncompressed_size))
-        self._first_ns = min(self._first_ns, chunk.message_start_time)
-        self._last_ns = max(self._last_ns, chunk.message_end_time)
         self._stream.flush()
 
     @property
     def span_ns(self) -> tuple[int, int]:
         """Return the earliest and latest message times, ns; (0, 0) if there are no messages."""
-        return (self._first_ns, self._last_ns) if self._chunks else (0, 0)
+        return (min((chunk.message_start_time for chunk in self.chunks), default=0),
+                max((chunk.message_end_time for chunk in self.chunks), default=0))
 
-    @property
-    def has_chunks(self) -> bool:
-        """Return whether any chunk has been written to the file."""
-        return bool(self._chunks)
-
-    def _statistics(self) -> Statistics:
-        count = sum(self.counts.values())
+    def _statistics(self) -> records.Statistics:
         first_ns, last_ns = self.span_ns
-        return Statistics(
+        return records.Statistics(
             attachment_count=0, channel_count=len(self.channels),
-            channel_message_counts=self.counts, chunk_count=len(self._chunks),
-            message_count=count, metadata_count=len(self._metadata),
+            channel_message_counts=self.counts, chunk_count=len(self.chunks),
+            message_count=sum(self.counts.values()), metadata_count=len(self._metadata),
             message_start_time=first_ns, message_end_time=last_ns,
             schema_count=len(self._schemas))
-
-    def _write_group(self, opcode: int, records: Iterable[McapRecord]) -> SummaryOffset:
-        start = self._position
-        for record in records:
-            self._write(_record(record))
-        return SummaryOffset(group_opcode=opcode, group_start=start,
-                             group_length=self._position - start)
 
     def _write(self, data: bytes) -> None:
         self._stream.write(data)
         self._position += len(data)
 
 
-def _compressed(data: bytes, indexed: list[Indexed]) -> tuple[Chunk, list[Indexed]]:
-    times = np.concatenate([each.times_ns for each in indexed])
-    return Chunk(compression='zstd', data=zstandard.ZstdCompressor(_LEVEL).compress(data),
-                 message_start_time=int(times.min()), message_end_time=int(times.max()),
-                 uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data)), indexed
+def _compressed(data: bytes, indexed: list[Indexed]) -> tuple[records.Chunk, list[Indexed]]:
+    times = np.concatenate([part.times_ns for part in indexed])
+    return records.Chunk(
+        compression='zstd', data=zstandard.ZstdCompressor(_LEVEL).compress(data),
+        message_start_time=int(times.min()), message_end_time=int(times.max()),
+        uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data)), indexed
 
 
-def _record(record: McapRecord) -> bytes:
+def _record(record: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()

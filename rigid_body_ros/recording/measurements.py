@@ -65,7 +65,7 @@ class MeasuredOptions(NamedTuple):
         Where the stamps come from: 'header', 'log' (the time of recording) or 'publish' (the time
         of publishing).
     columns : mapping of str to str, optional
-        The columns of CSV files; see `headings.columns_of`.
+        The columns of CSV files; see `text_files.Table`.
     track : callable
         A function that wraps the iteration over blocks of messages, to show progress.
 

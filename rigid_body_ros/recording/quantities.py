@@ -31,10 +31,9 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.recording.account import Account
-from rigid_body_ros.recording.headings import ATTITUDE, RATES
 from rigid_body_ros.recording.measured import FEWEST, Measured, not_measured
 from rigid_body_ros.recording.source import Messages
-from rigid_body_ros.recording.text_files import is_sample, Table
+from rigid_body_ros.recording.text_files import ATTITUDE, is_sample, RATES, Table
 
 #: A value whose variance is at least this large, rad^2 or rad^2/s^2, counts as not measured.
 _MEANINGLESS = 1e3

@@ -61,7 +61,7 @@ class Topics:
     wheel_command : str, optional
         The topic with the commands to named wheels.
     columns : mapping of str to str, optional
-        The columns to read from CSV files; see `headings.columns_of`.
+        The columns to read from CSV files; see `text_files.Table`.
     preferred : str
         If `preferred` is set and the recording has only one torque topic, the torques are read
         from that topic. If `preferred` is set and the recording has several torque topics, the

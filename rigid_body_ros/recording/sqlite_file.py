@@ -93,23 +93,30 @@ class SqliteFile(File):
         if self._formats[topic] != 'cdr':
             raise InputError(f'{self.path}: {topic}: expected message encoding cdr, '
                              f'found {quoted(self._formats[topic])}')
-        number, self.damage = 0, self._lost
+        self.damage, number, block, size, lost = self._lost, 0, list[tuple[int, bytes]](), 0, ''
         try:
             with closing(self._open()) as database:
                 self._check_definitions(database, topic, kind)
-                for block in self._blocks(database, topic):
-                    yield _raw(block)
-                    number += len(block)
+                for row in self._rows(database, topic):
+                    block.append(row)
+                    size += len(row[1])
+                    if len(block) == _BLOCK or size > _BYTES:
+                        yield _raw(block)
+                        number, block, size = number + len(block), [], 0
         except sqlite3.Error as error:
-            self.damage = f'damaged after {number} messages of {shortened(topic, 100)} ' \
-                          f'({_reason(error)})'
+            lost = _reason(error)
+        if block:
+            yield _raw(block)
+        if lost:
+            self.damage = f'damaged after {number + len(block)} messages of ' \
+                          f'{shortened(topic, 100)} ({lost})'
 
     def _check_definitions(self, database: sqlite3.Connection, topic: str,
                            kind: MessageType) -> None:
         # Early versions of rosbag2 do not store definitions.
         has_table = database.execute('PRAGMA table_info(message_definitions)').fetchone()
-        found = database.execute(_DEFINITIONS, (LONGEST + 1, kind.name)) if has_table else ()
-        for definition in [*found] or [('', b'')]:
+        rows = database.execute(_DEFINITIONS, (LONGEST + 1, kind.name)) if has_table else ()
+        for definition in [*rows] or [('', b'')]:
             self._check_definition(topic, kind, kind.name, *definition)
 
     def _apply_log(self, stack: ExitStack) -> str:
@@ -163,24 +170,6 @@ class SqliteFile(File):
             size += len(name)
             self._check_size(size)
         return types, formats
-
-    def _blocks(self, database: sqlite3.Connection,
-                topic: str) -> Iterator[list[tuple[int, bytes]]]:
-        block: list[tuple[int, bytes]] = []
-        size, damage = 0, None
-        try:
-            for row in self._rows(database, topic):
-                block.append(row)
-                size += len(row[1])
-                if len(block) == _BLOCK or size > _BYTES:
-                    yield block
-                    block, size = [], 0
-        except sqlite3.Error as error:
-            damage = error
-        if block:
-            yield block
-        if damage:
-            raise damage
 
     def _rows(self, database: sqlite3.Connection, topic: str) -> Iterator[tuple[int, bytes]]:
         size = 0

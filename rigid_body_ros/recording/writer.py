@@ -21,7 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 import struct
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
@@ -32,7 +32,8 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.container import Container, Indexed
-from rigid_body_ros.runtime.files import Part, reported
+from rigid_body_ros.runtime.files import FOLDER, Part, reported
+import yaml
 
 #: The topics on which a motion is recorded.
 ATTITUDE, ANGULAR_VELOCITY = '/attitude', '/angular_velocity'
@@ -52,6 +53,8 @@ _QOS = '\n'.join([
     '  liveliness_lease_duration:', '    sec: 9223372036', '    nsec: 854775807',
     '  avoid_ros_namespace_conventions: false',
 ])
+#: Format version of metadata.yaml. ROS 2 Humble cannot read newer versions.
+_VERSION = 5
 
 
 class Column(NamedTuple):
@@ -236,7 +239,63 @@ class Writer:
         self._stream.close()
 
     def _kept_partial(self) -> str:
-        if self._keep_partial and self._container.has_chunks:
+        if self._keep_partial and self._container.chunks:
             with suppress(OSError):
                 return f'; what was written so far is in {self._part.keep(self._file, ".mcap")}'
         return ''
+
+
+class FolderWriter(Writer):
+    """
+    Write a rosbag2 bag: a folder that contains an MCAP file and metadata.yaml.
+
+    The methods and parameters are the same as for `Writer`, except that `path` is the folder.
+
+    Raises
+    ------
+    InputError
+        A file or folder with that name already exists, or the folder cannot be written.
+
+    """
+
+    _suffix = FOLDER
+
+    def _file_of(self, part: Part) -> Path:
+        return part.path / f'{part.target.name}_0.mcap'
+
+    def _finish(self) -> None:
+        super()._finish()
+        text = yaml.safe_dump({'rosbag2_bagfile_information': self._about()}, sort_keys=False)
+        self._file.with_name('metadata.yaml').write_text(text, encoding='utf-8')
+
+    def _about(self) -> dict[str, Any]:
+        counts, first_ns, last_ns = self._container.counts, *self._container.span_ns
+        span = {'starting_time': {'nanoseconds_since_epoch': first_ns},
+                'duration': {'nanoseconds': last_ns - first_ns},
+                'message_count': sum(counts.values())}
+        name = self._file.name
+        return {
+            'version': _VERSION, 'storage_identifier': 'mcap', **span,
+            'topics_with_message_count': [
+                {'topic_metadata': {'name': channel.topic,
+                                    'type': self._container.type_of(channel),
+                                    'serialization_format': channel.message_encoding,
+                                    'offered_qos_profiles':
+                                        channel.metadata.get('offered_qos_profiles', '')},
+                 'message_count': counts[channel.id]}
+                for channel in self._container.channels],
+            'compression_format': '', 'compression_mode': '', 'relative_file_paths': [name],
+            'files': [{'path': name, **span}],
+        }
+
+
+def suffix_of(output: str | Path) -> str:
+    """Return the format of an output: '.mcap', or `files.FOLDER` for a rosbag2 folder."""
+    name = Path(output).name.lower()  # ignore case, like rosbag2
+    return '.mcap' if name.endswith('.mcap') else FOLDER
+
+
+def writer_of(output: str | Path) -> Writer:
+    """Return a writer for an output, in the format that its name implies."""
+    kind = FolderWriter if suffix_of(output) == FOLDER else Writer
+    return kind(output, keep_partial=True)
