@@ -451,7 +451,7 @@ def test_one_motion_is_that_of_the_epoch_that_the_scene_names(two, tmp_path, beg
 
 def test_of_equal_starts_the_last_epoch_is_meant():
     run = scene.load(CONFIG / 'tumbler.yaml')
-    same = [recording.Logged(run.problem(start=State(begin_ns)), False, Account(), True, '', ())
+    same = [recording.Logged(run.problem(start=State(begin_ns)), Account(), True, '', ())
             for begin_ns in (5, 7, 5, 9)]
     assert recording.chosen('', replace(run, start=State(5)), same) is same[2]
     assert recording.chosen('', replace(run, start=State(1)), same[:1]) is same[0]

@@ -26,15 +26,8 @@ from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.mechanics.frames import Frame, Frames
 from rigid_body_ros.mechanics.imu import ImuErrors
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.messages.kinds import (
-    IMU,
-    INERTIA,
-    MessageType,
-    ODOMETRY,
-    Stamped,
-    TRANSFORM,
-    WRENCH,
-)
+from rigid_body_ros.messages import kinds
+from rigid_body_ros.messages.kinds import MessageType, Stamped
 
 #: The first word in the frame_id of an epoch marker. The start state follows this word.
 _EPOCH = '/epoch'
@@ -60,7 +53,7 @@ def torque(wrench: Stamped) -> Floats:
 
 def wrench(stamp_ns: int, frame_id: str, torque: Iterable[float]) -> bytes:
     """Encode a WrenchStamped message with a torque, N m, shape (3,), and no force."""
-    return WRENCH.encode(stamp_ns, frame_id, [0.0, 0.0, 0.0, *torque])
+    return kinds.WRENCH.encode(stamp_ns, frame_id, [0.0, 0.0, 0.0, *torque])
 
 
 def inertia_entries(values: Floats) -> Floats:
@@ -70,12 +63,12 @@ def inertia_entries(values: Floats) -> Floats:
 
 def inertia(stamp_ns: int, frame_id: str, entries: ArrayLike) -> bytes:
     """Encode an InertiaStamped message; `entries`, kg m^2, are ordered as in `inertia_entries`."""
-    values = np.zeros(INERTIA.doubles)
+    values = np.zeros(kinds.INERTIA.doubles)
     values[_ENTRIES] = entries
-    return INERTIA.encode(stamp_ns, frame_id, values)
+    return kinds.INERTIA.encode(stamp_ns, frame_id, values)
 
 
-def epoch_marker(start: State, kind: MessageType = WRENCH) -> bytes:
+def epoch_marker(start: State, kind: MessageType = kinds.WRENCH) -> bytes:
     """
     Encode the marker of an epoch: a message that begins the epoch in a node's log.
 
@@ -106,12 +99,12 @@ def epoch_start(stamp_ns: int, frame_id: str) -> State:
         The frame_id is not in the format written by `epoch_marker`.
 
     """
-    found = _EPOCH_NUMBERS.fullmatch(frame_id)
-    if not found:
+    numbers = _EPOCH_NUMBERS.fullmatch(frame_id)
+    if not numbers:
         raise ValueError('frame_id: expected the start state of an epoch, '
                          f'found {quoted(frame_id)}')
     return State(stamp_ns, *([float(number) for number in group.split()]
-                             for group in found.groups('')))
+                             for group in numbers.groups('')))
 
 
 def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
@@ -172,13 +165,13 @@ def odometry(state: State, space_frame: str, body_frame: str, attitude_variance:
     If `rate_variance`, rad^2/s^2, is not 0, it becomes the variance of the angular velocity, and
     the variance of the linear velocity is then 1e6 m^2/s^2.
     """
-    values = np.zeros(ODOMETRY.doubles)
+    values = np.zeros(kinds.ODOMETRY.doubles)
     values[ORIENTATION] = state.attitude
     values[ANGULAR_VELOCITY] = state.angular_velocity
     for first, variance in ((7, attitude_variance), (49, rate_variance)):
         if variance:
             values[first:first + 36:7] = 3 * (_UNKNOWN,) + 3 * (variance,)
-    return ODOMETRY.encode(state.time_ns, space_frame, values, body_frame)
+    return kinds.ODOMETRY.encode(state.time_ns, space_frame, values, body_frame)
 
 
 def imu(time_ns: int, body_frame: str, state: State, errors: ImuErrors = _NO_ERRORS) -> bytes:
@@ -189,7 +182,7 @@ def imu(time_ns: int, body_frame: str, state: State, errors: ImuErrors = _NO_ERR
     """
     values = imu_values(np.array([time_ns]), state.attitude[None], state.angular_velocity[None],
                         errors)
-    return IMU.encode(time_ns, body_frame, values[0])
+    return kinds.IMU.encode(time_ns, body_frame, values[0])
 
 
 def imu_values(stamps_ns: NDArray[np.int64], attitude: Floats, angular_velocity: Floats,
@@ -210,7 +203,7 @@ def imu_values(stamps_ns: NDArray[np.int64], attitude: Floats, angular_velocity:
     array, shape (n, 37)
 
     """
-    values = np.zeros((len(attitude), IMU.doubles))
+    values = np.zeros((len(attitude), kinds.IMU.doubles))
     values[:, 0:4], values[:, 13:16] = errors.measured(stamps_ns, attitude, angular_velocity)
     values[:, 4:13:4], values[:, 16:25:4] = errors.attitude_variance, errors.rate_variance
     values[:, 28] = -1.0  # linear_acceleration_covariance[0]: no measurement
@@ -219,8 +212,8 @@ def imu_values(stamps_ns: NDArray[np.int64], attitude: Floats, angular_velocity:
 
 def transform(state: State, space_frame: str, body_frame: str) -> bytes:
     """Encode the transform from body coordinates to space coordinates as a TFMessage."""
-    return TRANSFORM.encode(state.time_ns, space_frame, transform_values(state.attitude[None])[0],
-                            body_frame)
+    values, = transform_values(state.attitude[None])
+    return kinds.TRANSFORM.encode(state.time_ns, space_frame, values, body_frame)
 
 
 def transform_values(attitude: Floats) -> Floats:

@@ -102,10 +102,10 @@ def definition(name: str) -> str:
 def _nested(name: str) -> list[str]:
     # Return all types that a definition uses, directly or indirectly. List each type once, in the
     # order in which they are first used.
-    found: list[str] = []
+    parts: list[str] = []
     for line in FIELDS[name].splitlines():
         field = line.split()[0].removesuffix('[]')
         part = field if '/' in field else f'{name.split("/")[0]}/{field}'
         if part in FIELDS:
-            found += [part, *_nested(part)]
-    return list(dict.fromkeys(found))
+            parts += [part, *_nested(part)]
+    return list(dict.fromkeys(parts))

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import listed, quoted
-from rigid_body_ros.messages.kinds import header_at, MessageType, opened, Stamped, text_at
+from rigid_body_ros.messages.kinds import Cdr, MessageType, Stamped
 
 _NAME = 'sensor_msgs/msg/JointState'
 _NONE = np.empty(0)
@@ -54,28 +54,18 @@ def decoded_joints(data: bytes) -> JointState:
 
     """
     try:
-        body, order = opened(data)
-        stamp_ns, frame_id, offset = header_at(body, 0, order)
-        count, offset = _count_at(body, offset, order)
-        names = []
-        for _ in range(count):
-            name, offset = text_at(body, offset, order)
-            names.append(name)
-        lists = []
-        for _ in range(3):
-            size, offset = _count_at(body, offset, order)
-            offset += -offset % 8 if size else 0
-            lists.append(np.frombuffer(body, order + 'f8', size, offset).astype(float)
-                         if size else _NONE)
-            offset += 8 * size
+        cdr = Cdr(data)
+        stamp_ns, frame_id = cdr.header()
+        names = tuple([cdr.text() for _ in range(cdr.count())])
+        lists = [cdr.doubles(size) if (size := cdr.count()) else _NONE for _ in range(3)]
     except (struct.error, UnicodeDecodeError, ValueError, IndexError) as error:
         raise ValueError(f'expected a {_NAME} in CDR, found {len(data)} bytes that cannot be '
                          f'decoded ({error})') from error
     for what, numbers in zip(('position', 'velocity', 'effort'), lists):
-        if len(numbers) not in (0, count):
-            raise ValueError(f'{what}: expected none or {count}, as there are names, found '
+        if len(numbers) not in (0, len(names)):
+            raise ValueError(f'{what}: expected none or {len(names)}, as there are names, found '
                              f'{len(numbers)}')
-    return JointState(stamp_ns, frame_id, tuple(names), *lists)
+    return JointState(stamp_ns, frame_id, names, *lists)
 
 
 def encoded_joints(stamp_ns: int, frame_id: str, names: Sequence[str],
@@ -112,9 +102,9 @@ class JointCommands(MessageType):
                child_frame_id: str = '') -> bytes:
         """Encode a message in CDR, leaving out the joints whose values are NaN."""
         efforts = np.asarray(values, float)
-        given = ~np.isnan(efforts)
-        names = [name for name, is_given in zip(self.joints, given.tolist()) if is_given]
-        return encoded_joints(stamp_ns, frame_id, names, effort=efforts[given])
+        present = ~np.isnan(efforts)
+        names = [name for name, is_present in zip(self.joints, present.tolist()) if is_present]
+        return encoded_joints(stamp_ns, frame_id, names, effort=efforts[present])
 
     def decode(self, data: bytes) -> Stamped:
         """
@@ -127,21 +117,21 @@ class JointCommands(MessageType):
             twice; or an effort is missing or not finite.
 
         """
-        found = decoded_joints(data)
-        names, efforts = found.names, found.effort.tolist()
-        known = dict.fromkeys(self.joints, np.nan)
+        state = decoded_joints(data)
+        names, efforts = state.names, state.effort.tolist()
+        efforts_of = dict.fromkeys(self.joints, np.nan)
         for row, name in enumerate(names):
-            if name not in known:
-                raise ValueError(f'name: expected some of {listed([*map(repr, known)])}, found '
-                                 f'{quoted(name)}')
+            if name not in efforts_of:
+                raise ValueError(f'name: expected some of {listed([*map(repr, self.joints)])}, '
+                                 f'found {quoted(name)}')
             if name in names[:row]:
                 raise ValueError(f'name: expected each once, found {name!r} twice')
         if len(efforts) != len(names):
             raise ValueError(f'effort: expected {len(names)}, as there are names, found none')
-        if not np.isfinite(found.effort).all():
+        if not np.isfinite(state.effort).all():
             raise ValueError(f'effort: expected finite numbers, found {efforts}')
-        values = np.array([*(known | dict(zip(names, efforts))).values()])
-        return Stamped(found.stamp_ns, found.frame_id, '', values)
+        values = np.array([*(efforts_of | dict(zip(names, efforts))).values()])
+        return Stamped(state.stamp_ns, state.frame_id, '', values)
 
 
 def joint_commands(joints: Sequence[str]) -> JointCommands:
@@ -193,10 +183,3 @@ def _text(text: str) -> bytes:
 
 def _padded(data: bytes, size: int = 4) -> bytes:
     return data + bytes(-len(data) % size)
-
-
-def _count_at(body: memoryview, offset: int, order: str) -> tuple[int, int]:
-    """Return the number of entries in a list, and the offset of the first entry."""
-    offset += -offset % 4
-    count, = struct.unpack_from(order + 'I', body, offset)
-    return count, offset + 4

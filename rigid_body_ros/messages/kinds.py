@@ -41,6 +41,11 @@ from rigid_body_ros.messages import definitions
 LAST_NS = 2 ** 31 * 10 ** 9 - 1
 
 
+#: The formats of a length, a stamp and a double in the byte orders '>' and '<'.
+_FORMATS = [(struct.Struct(f'{order}I'), struct.Struct(f'{order}iI'), np.dtype(f'{order}f8'))
+            for order in '><']
+
+
 class Stamped(NamedTuple):
     """A decoded message; `child_frame_id` is '' if the message type does not have one."""
 
@@ -48,6 +53,55 @@ class Stamped(NamedTuple):
     frame_id: str
     child_frame_id: str
     values: Floats
+
+
+class Cdr:
+    """
+    Read the parts of an encoded message, one after the other.
+
+    Raise ValueError or struct.error if the message ends early, or if a part is not valid.
+    """
+
+    __slots__ = '_body', '_doubles', '_length', '_offset', '_stamp'
+
+    def __init__(self, data: bytes) -> None:
+        if data[0] != 0 or data[1] not in (0, 1):
+            raise ValueError(f'unknown encapsulation {data[:4].hex(" ")}')
+        self._body, self._offset = memoryview(data)[4:], 0
+        self._length, self._stamp, self._doubles = _FORMATS[data[1]]
+
+    def count(self) -> int:
+        """Read the length of a list or a string."""
+        start = self._offset + -self._offset % 4
+        self._offset = start + 4
+        length: int = self._length.unpack_from(self._body, start)[0]
+        return length
+
+    def header(self) -> tuple[int, str]:
+        """Read a header; return its stamp, ns, and its frame_id."""
+        seconds, nanoseconds = self._stamp.unpack_from(self._body, self._offset)
+        if seconds < 0 or nanoseconds >= 10 ** 9:
+            raise ValueError(f'invalid stamp: {seconds} s and {nanoseconds} ns')
+        self._offset += 8
+        return seconds * 10 ** 9 + nanoseconds, self.text()
+
+    def text(self) -> str:
+        """Read a string."""
+        size = self.count()
+        start, self._offset = self._offset, self._offset + size
+        if not 1 <= size <= len(self._body) - start:
+            raise ValueError(f'invalid string length: {size} bytes')
+        return str(self._body[start:self._offset - 1], 'utf-8')
+
+    def skip(self, size: int, alignment: int = 4) -> None:
+        """Skip the alignment and this many bytes."""
+        self._offset += -self._offset % alignment + size
+
+    def doubles(self, count: int) -> Floats:
+        """Read doubles, shape (count,)."""
+        start = self._offset + -self._offset % 8
+        self._offset = start + 8 * count
+        return np.frombuffer(self._body, self._doubles, count, start).astype(float)
 
 
 @dataclass(frozen=True, eq=False)  # with eq, each cache lookup would hash all fields
@@ -144,24 +198,14 @@ class MessageType:
                              f'cannot be decoded ({error})') from error
 
     def _decode(self, data: bytes) -> Stamped:
-        body, order = opened(data)
-        offset = 0
-        if self.is_list:
-            entries, = struct.unpack_from(order + 'I', body)
-            if entries != 1:
-                raise ValueError(f'expected a list of 1 entry, found {entries}')
-            offset = 4
-        if not self.has_header:
-            return Stamped(0, '', '', self._doubles(body, offset, order))
-        stamp_ns, frame_id, offset = header_at(body, offset, order)
-        child_frame_id = ''
-        if self.has_child_frame:
-            child_frame_id, offset = text_at(body, offset, order)
-        offset += -offset % 4 + len(self.before_doubles)
-        return Stamped(stamp_ns, frame_id, child_frame_id, self._doubles(body, offset, order))
-
-    def _doubles(self, body: memoryview, offset: int, order: str) -> Floats:
-        return np.frombuffer(body, order + 'f8', self.doubles, offset + -offset % 8).astype(float)
+        cdr = Cdr(data)
+        if self.is_list and (entries := cdr.count()) != 1:
+            raise ValueError(f'expected a list of 1 entry, found {entries}')
+        stamp_ns, frame_id = cdr.header() if self.has_header else (0, '')
+        child_frame_id = cdr.text() if self.has_child_frame else ''
+        if self.before_doubles:
+            cdr.skip(len(self.before_doubles))
+        return Stamped(stamp_ns, frame_id, child_frame_id, cdr.doubles(self.doubles))
 
 
 def _marker(shape: int, *color: float) -> MessageType:
@@ -224,36 +268,6 @@ def _around_stamp(kind: MessageType, frame_id: str, child_frame_id: str) -> tupl
     return b'\0\1\0\0' + head, body + bytes(-(begin + len(body)) % 8)
 
 
-def opened(data: bytes) -> tuple[memoryview, str]:
-    """
-    Strip the encapsulation header from an encoded message.
-
-    Return the rest of the message, and its byte order in the notation of `struct`.
-    """
-    if data[0] != 0 or data[1] not in (0, 1):
-        raise ValueError(f'unknown encapsulation {data[:4].hex(" ")}')
-    return memoryview(data)[4:], '<' if data[1] else '>'
-
-
 def unstamped(data: bytes) -> bytes:
     """Return an encoded message that begins with a header, with the stamp 0."""
     return data[:4] + bytes(8) + data[12:]
-
-
-def header_at(body: memoryview, offset: int, order: str) -> tuple[int, str, int]:
-    """Read a header; return its stamp, ns, its frame_id, and the offset at which it ends."""
-    seconds, nanoseconds = struct.unpack_from(order + 'iI', body, offset)
-    if seconds < 0 or nanoseconds >= 10 ** 9:
-        raise ValueError(f'invalid stamp: {seconds} s and {nanoseconds} ns')
-    frame_id, offset = text_at(body, offset + 8, order)
-    return seconds * 10 ** 9 + nanoseconds, frame_id, offset
-
-
-def text_at(body: memoryview, offset: int, order: str) -> tuple[str, int]:
-    """Read a string; return the string and the offset at which it ends."""
-    offset += -offset % 4
-    size, = struct.unpack_from(order + 'I', body, offset)
-    start, end = offset + 4, offset + 4 + size
-    if not 1 <= size <= len(body) - start:
-        raise ValueError(f'invalid string length: {size} bytes')
-    return str(body[start:end - 1], 'utf-8'), end

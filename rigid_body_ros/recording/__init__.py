@@ -26,7 +26,7 @@ result is a `measured.Measured`. `observed` reads torques and measurements toget
 Writing: `writer` writes MCAP files and rosbag2 bags, using `container` for the individual records.
 """
 
-from rigid_body_ros.recording.problem import chosen, Logged, read_epochs, started
+from rigid_body_ros.recording.problem import chosen, Logged, read_epochs, same_bits, started
 from rigid_body_ros.recording.problem import read as read_problem
 from rigid_body_ros.recording.selection import Reading, Topics
 from rigid_body_ros.recording.source import joined, Messages, read, Source, topics, TORQUES
@@ -46,5 +46,5 @@ from rigid_body_ros.recording.writer import (
 __all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'TORQUES', 'Column', 'FolderWriter', 'Logged',
            'Messages', 'NotInOrderError', 'Reading', 'Source', 'Stream', 'Topics', 'Writer',
            'chosen', 'epochs', 'is_ulog', 'joined', 'read', 'read_epochs', 'read_problem',
-           'started', 'streamed', 'suffix_of', 'topics', 'torque_log', 'torque_pieces', 'whole',
-           'writer_of']
+           'same_bits', 'started', 'streamed', 'suffix_of', 'topics', 'torque_log',
+           'torque_pieces', 'whole', 'writer_of']

@@ -130,7 +130,7 @@ class Account:
         While there are any, no cause of an error can be inferred.
         """
         if self.parts:
-            return [f'{name}: {text}' for name, one in self.parts.items() for text in one.faults]
+            return [f'{name}: {text}' for name, part in self.parts.items() for text in part.faults]
         texts = [*self.doubts]
         if self.rejected > _LOST * self.samples:
             texts.append(f'{self.rejected} of {self.samples} samples are rejected: expected '

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import Contents, kernels, RawMessages
 from rigid_body_ros.messages import JointCommands, LAST_NS, MessageType, Px4Type
-from rigid_body_ros.messages.kinds import header_at, opened, text_at
+from rigid_body_ros.messages.kinds import Cdr
 from rigid_body_ros.messages.px4 import layout, PX4_TYPES
 
 Bytes = NDArray[np.uint8]
@@ -289,13 +289,9 @@ def frame_pairs(kind: MessageType, raw: Raw) -> list[tuple[str, str]]:
 
 def _names(kind: MessageType, data: bytes) -> list[tuple[str, str]]:
     """Return the frame_id and the child_frame_id of each transform in a message."""
-    body, order = opened(data)
-    count, offset, names = 1, 0, []
-    if kind.is_list:
-        (count,), offset = struct.unpack_from(order + 'I', body), 4
-    for _ in range(count):
-        _, frame_id, offset = header_at(body, offset, order)
-        child_frame_id, offset = text_at(body, offset, order)
-        names.append((frame_id, child_frame_id))
-        offset += -offset % 8 + 8 * kind.doubles
+    cdr, names = Cdr(data), []
+    for _ in range(cdr.count() if kind.is_list else 1):
+        _, frame_id = cdr.header()
+        names.append((frame_id, cdr.text()))
+        cdr.skip(8 * kind.doubles, 8)
     return names

@@ -78,13 +78,13 @@ def chained(path: str | Path, topic: str, ends: _Pair, time_source: str) -> Mess
                          f'{listed(described)}; choose other frames with --frames')
     links = []
     for pair in pairs:
-        known = pair if pair in homes else pair[::-1]
-        with Source(path, homes[known], [TRANSFORM], time_source, frames=known) as source:
+        recorded = pair if pair in homes else pair[::-1]
+        with Source(path, homes[recorded], [TRANSFORM], time_source, frames=recorded) as source:
             link = joined(topic, TRANSFORM, [*source], source.damage)
         rotations = so3.normalize(link.values[:, _ROTATION])
         link.values[:, _ROTATION] = rotations if pair in homes else so3.conjugate(rotations)
         links.append(replace(link, stamps_ns=link.stamps_ns[:0], values=link.values[-1:])
-                     if homes[known].endswith(STATIC) else link)
+                     if homes[recorded].endswith(STATIC) else link)
     fastest = max(links, key=lambda link: len(link.stamps_ns))
     if not len(fastest):
         raise InputError(f'{path}: {topic}: expected a transform that changes between '

@@ -92,10 +92,10 @@ def checked(kind: MessageType, name: str, encoding: str, definition: bytes) -> M
     if isinstance(kind, Px4Type):
         return kind.defined(tuple(_flat(recorded, root)))
     standard = _sections(root, kind.definition, is_idl=False)
-    for expected, found in zip_longest(_flat(standard, root), _flat(standard | recorded, root)):
-        if expected != found:
+    for expected, field in zip_longest(_flat(standard, root), _flat(standard | recorded, root)):
+        if expected != field:
             raise ValueError(f'expected {expected or "no more fields"} in the definition of {name}'
-                             f', found {quoted(found) if found else "no more fields"}')
+                             f', found {quoted(field) if field else "no more fields"}')
     return kind
 
 
@@ -104,37 +104,37 @@ def _sections(root: str, text: str, is_idl: bool) -> _Fields:
     first, *others = _SECTION.split(text)
     sections = [*([(root, first)] if first.strip() else []), *zip(others[::2], others[1::2])]
     parsed = _idl_fields if is_idl else _msg_fields
-    found: _Fields = {}
+    fields: _Fields = {}
     for name, body in sections:
         name = name.replace('/msg/', '/')
-        found.setdefault(name, parsed(name, body))
-    return found
+        fields.setdefault(name, parsed(name, body))
+    return fields
 
 
 def _msg_fields(name: str, body: str) -> list[tuple[str, str]]:
-    found = []
+    fields = []
     for kind, field in _MSG_FIELD.findall(_MSG_COMMENT.sub('', body)):
         base, bracket, size = kind.replace('/msg/', '/').partition('[')
         if base == 'Header':
             base = 'std_msgs/Header'
         elif base[:1].isupper():  # a type from the same package
             base = f'{name.split("/")[0]}/{base}'
-        found.append((base + bracket + size, field))
-    return found
+        fields.append((base + bracket + size, field))
+    return fields
 
 
 def _idl_fields(name: str, body: str) -> list[tuple[str, str]]:
     text = _IDL_ANNOTATION.sub('', _IDL_TEXT.sub('', body))
     arrays = {alias: base + size for base, alias, size in _IDL_ARRAY.findall(text)}
     struct = re.search(rf'struct\s+{re.escape(name.split("/")[-1])}\s*{{([^}}]*)}}', text)
-    found = []
+    fields = []
     for member in struct.group(1).split(';')[:-1] if struct else ():
         kind, _, field = ' '.join(member.split()).rpartition(' ')
         field, bracket, size = field.partition('[')
         kind = _IDL_SEQUENCE.sub(r'\1[]', arrays.get(kind, kind)).replace('::msg::', '/')
         base, *rest = kind.partition('[')
-        found.append((''.join([_IDL_PRIMITIVES.get(base, base), *rest, bracket, size]), field))
-    return found
+        fields.append((''.join([_IDL_PRIMITIVES.get(base, base), *rest, bracket, size]), field))
+    return fields
 
 
 def _flat(fields: _Fields, root: str) -> Iterator[str]:

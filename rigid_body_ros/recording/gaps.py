@@ -16,9 +16,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import timedelta
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +43,8 @@ _TINY = 1e-250
 _PATIENCE = 10.0
 
 
-class Gap(NamedTuple):
-    """An interval between two neighbouring samples, ns."""
-
-    begin_ns: int = 0
-    length_ns: int = 0
+#: The begin and the length, ns, of an interval between two neighbouring samples.
+Gap = tuple[int, int]
 
 
 class Gaps:
@@ -71,7 +68,8 @@ class Gaps:
 
     def __init__(self, start_ns: int, end_ns: int, timeout_ns: int) -> None:
         self._span, self._timeout_ns = (start_ns, end_ns), timeout_ns
-        self.longest = self.acted = Gap()
+        self.longest: Gap = (0, 0)
+        self.acted: Gap = (0, 0)
         self._counts = np.zeros(64 * _CLASSES, np.int64)
         self._last_ns = -2 ** 63
 
@@ -105,14 +103,14 @@ class Gaps:
     @property
     def warning(self) -> str:
         """Return a warning if a torque acts for much longer than usual; otherwise ''."""
-        begin_ns, length_ns = self.acted
-        seconds = length_ns * 1e-9
+        seconds = self.acted[1] * 1e-9
         if seconds <= max(_LONG, _TIMES * self.usual):
             return ''
+        begin = (self.acted[0] - self._span[0]) * 1e-9
         return (f'a torque acts for {seconds:.9g} s until the next one, from '
-                f'{(begin_ns - self._span[0]) * 1e-9:.9g} s after the start, although torques '
-                f'are usually {self.usual:.2g} s apart: check the clock that set the stamps, or '
-                'set torque_timeout')
+                f'{begin:.9g} s after the start, although torques are usually '
+                f'{self.usual:.2g} s apart: check the clock that set the stamps, or set '
+                'torque_timeout')
 
     def __str__(self) -> str:
         begin_ns, length_ns = self.longest
@@ -120,8 +118,14 @@ class Gaps:
                 f'{(begin_ns - self._span[0]) * 1e-9:.9g} s after the start')
 
 
-def announce(where: str, seconds: float) -> None:
-    """Tell the user how long a computation will take, if that is longer than `_PATIENCE`."""
+def announce(where: str, logs: Sequence[TorqueLog], span_ns: tuple[int, int], speed: float,
+             scene: Scene) -> None:
+    """
+    Tell the user how long the motion takes to compute, if that is longer than `_PATIENCE`.
+
+    The motion is that for one piece of each log; see `computing_time`.
+    """
+    seconds = max((computing_time(log, span_ns, speed, scene) for log in logs), default=0.0)
     if seconds > _PATIENCE:
         report(f'{where}: computing the motion takes about {timedelta(seconds=round(seconds))} '
                '(h:min:s)')
@@ -183,7 +187,7 @@ def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats
     is_closed = options.record.closed_form_beyond < np.inf and not (
         scene.has_rotors or body.is_damped or scene.fields)
     moment, rate = body.principal_moments[0], speed
-    rate += sum(float(one.speed(moment, body.principal_moments[2])) for one in scene.fields)
+    rate += sum(float(field.speed(moment, body.principal_moments[2])) for field in scene.fields)
     with np.errstate(over='ignore'):
         gain = np.clip(sizes / moment, _TINY, 1.0 / _TINY)
         if not body.is_damped:  # beyond the largest speed, the motion ends in an error
@@ -208,6 +212,6 @@ def _acts(log: TorqueLog) -> NDArray[np.bool_]:
     return acts[:-1] if log.interpolation == 'hold' else acts[:-1] | acts[1:]
 
 
-def _longer(known: Gap, times: NDArray[np.int64], lengths: NDArray[np.int64]) -> Gap:
+def _longer(longest: Gap, times: NDArray[np.int64], lengths: NDArray[np.int64]) -> Gap:
     row = int(np.argmax(lengths))
-    return max(known, Gap(int(times[row]), int(lengths[row])), key=lambda gap: gap.length_ns)
+    return longest if lengths[row] <= longest[1] else (int(times[row]), int(lengths[row]))

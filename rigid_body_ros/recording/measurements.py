@@ -95,8 +95,8 @@ class MeasuredOptions(NamedTuple):
             body.append(self.space_frame)
         names = [frame_id] if kind in _OF_SENSOR else [frame_id, child_frame_id]
         expected = [body] if kind in _OF_SENSOR else [space, body]
-        if all(name.removeprefix('/') in known or (known is body and self.link(name))
-               for name, known in zip(names, expected)):
+        if all(name.removeprefix('/') in accepted or (accepted is body and self.link(name))
+               for name, accepted in zip(names, expected)):
             return ''
         if kind.has_child_frame:
             return f'expected frames {quoted(space[1])} to {quoted(body[1])}, found ' \

@@ -26,7 +26,7 @@ from rigid_body_ros.common.errors import InputError, located
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.account import Account
-from rigid_body_ros.recording.gaps import announce, computing_time, Gaps
+from rigid_body_ros.recording.gaps import announce, Gaps
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.selection import Reading, Topics
 from rigid_body_ros.recording.ulog_file import is_ulog, UlogFile
@@ -157,8 +157,7 @@ def _check_gaps(path: str | Path, problem: Problem, measurements: Measurements, 
         if gaps.warning:
             account.doubts.append(gaps.warning)
     with located(path):
-        announce(str(path), max((computing_time(log, span_ns, speed, scene)
-                                 for log in problem.logs), default=0.0))
+        announce(str(path), problem.logs, span_ns, speed, scene)
 
 
 def _check_overlap(path: str | Path, problem: Problem, measurements: Measurements,

@@ -47,9 +47,6 @@ class Logged(NamedTuple):
     """The problem that a recording or an epoch of a node describes, and how it was recorded."""
 
     problem: Problem
-    #: Whether the rotor torque is derived from the measured rotor momentum. A rotor torque that is
-    #: derived in this way is never interpolated.
-    is_measured: bool
     account: Account
     #: Whether the start state comes from the marker of an epoch rather than from the scene.
     is_epoch: bool
@@ -217,8 +214,7 @@ def _logged(path: str | Path, scene: Scene, reading: Reading, parts: Sequence[Me
     for part in recorded:
         if accounts[part.topic].samples < len(part):  # not a torque
             accounts[part.topic].add(part.stamps_ns)
-    return Logged(problem, measured is not None, merged(accounts), begin is not None, damage,
-                  tuple(accounts))
+    return Logged(problem, merged(accounts), begin is not None, damage, tuple(accounts))
 
 
 def started(path: str | Path, scene: Scene, begin: State | None, first_ns: int,
@@ -292,6 +288,12 @@ def bits_of(state: State | None, has_stamp: bool = True) -> tuple[int | bytes, .
         state.wheel_speeds.tobytes())
 
 
+def same_bits(values: Floats, others: Floats) -> NDArray[np.bool_]:
+    """Return whether the rows of two arrays, shape (n, d), are equal in every bit, shape (n,)."""
+    bits, other_bits = (np.ascontiguousarray(rows).view(np.int64) for rows in (values, others))
+    return (bits == other_bits).all(axis=1)
+
+
 def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str,
          accounts: Mapping[str, Account]) -> TorqueLog:
     """Return the torque log of a topic; the log is empty if there are no messages."""
@@ -307,16 +309,14 @@ def _efforts(path: str | Path, recorded: Messages) -> EffortLog:
 
     The frame_ids of the commands are ignored.
     """
-    if len(recorded) and not recorded.start:
-        check_stamped(f'{path}: {recorded.topic}', recorded.stamps_ns)
+    check_stamped(f'{path}: {recorded.topic}', recorded)
     return EffortLog(recorded.stamps_ns, recorded.values)
 
 
 def _changes(path: str | Path, recorded: Messages, scene: Scene) -> BodyLog:
     """Return the bodies that an inertia topic describes; all have the damping of the scene."""
     check_axes(path, recorded, scene)
-    if len(recorded) and not recorded.start:
-        check_stamped(f'{path}: {recorded.topic}', recorded.stamps_ns)
+    check_stamped(f'{path}: {recorded.topic}', recorded)
     bodies = []
     for row, entries in enumerate(messages.inertia_entries(recorded.values)):
         try:

@@ -120,7 +120,7 @@ class MeasuredSamples:
         turn, attitude, rates = so3.from_matrix(rotation), self.attitude.copy(), self.rates.copy()
         attitude[rows] = so3.multiply(attitude[rows], so3.conjugate(turn))
         rates[rows] = so3.rotate(turn, rates[rows])
-        first, second = (_turned(each, rotation, rows) for each in self.covariances)
+        first, second = (_turned(covariances, rotation, rows) for covariances in self.covariances)
         note = f'the measurements are in the axes of {frame}: converted to body axes'
         return replace(self, attitude=attitude, rates=rates, covariances=(first, second),
                        notes=(*self.notes, note))
@@ -131,10 +131,10 @@ class MeasuredSamples:
 
         It is never usable, or it never changes although the other one says that the body turns.
         """
-        for name, given, usable in zip(QUANTITIES, self.given.T, self.usable.T):
-            if given.any() and not usable.any() and self.usable.any():
+        for name, present, usable in zip(QUANTITIES, self.given.T, self.usable.T):
+            if present.any() and not usable.any() and self.usable.any():
                 note = f'the {_NAMES[name]} is not used: expected finite values, of a possible ' \
-                       f'size, found none in {given.sum()} messages'
+                       f'size, found none in {present.sum()} messages'
                 return replace(self.without([name]), notes=(*self.notes, note))
         both = self.usable.all(axis=1)
         name, note = not_measured(self.stamps_ns[both], self.attitude[both], self.rates[both])
@@ -196,14 +196,14 @@ class MeasuredSamples:
                         _known(of_rates), account, self.damage)
 
 
-def _samples(stamps_ns: NDArray[np.int64], attitude: Floats, rates: Floats, given: _Mask,
+def _samples(stamps_ns: NDArray[np.int64], attitude: Floats, rates: Floats, present: _Mask,
              **others: Any) -> MeasuredSamples:
     """Return the samples in messages, with NaN in place of values that are not usable."""
-    is_rotation = np.isfinite(attitude).all(axis=1) & attitude.any(axis=1) & given[:, 0]
-    is_slow = (np.abs(rates) <= FASTEST).all(axis=1) & given[:, 1]
+    is_rotation = np.isfinite(attitude).all(axis=1) & attitude.any(axis=1) & present[:, 0]
+    is_slow = (np.abs(rates) <= FASTEST).all(axis=1) & present[:, 1]
     unit = np.full(attitude.shape, np.nan)
     unit[is_rotation] = so3.normalize(attitude[is_rotation])
-    return MeasuredSamples(stamps_ns, unit, np.where(is_slow[:, None], rates, np.nan), given,
+    return MeasuredSamples(stamps_ns, unit, np.where(is_slow[:, None], rates, np.nan), present,
                            np.linalg.norm(attitude, axis=1), **others)
 
 
@@ -211,8 +211,8 @@ def of_messages(recorded: Messages, kind: MessageType) -> MeasuredSamples:
     """Return the samples in messages of a type in `KINDS`; covariances are in body axes."""
     parts = [_part(recorded.values, *where, size, kind is messages.IMU)
              for where, size in zip(_LAYOUTS[kind], (4, 3))]
-    (attitude, rates), given, (first, second) = zip(*parts)
-    samples = _samples(recorded.stamps_ns, attitude, rates, np.column_stack(given),
+    (attitude, rates), present, (first, second) = zip(*parts)
+    samples = _samples(recorded.stamps_ns, attitude, rates, np.column_stack(present),
                        damage=recorded.damage)
     if first is not None and kind is not messages.IMU:  # in space axes
         first = _turned(first, so3.matrix(so3.conjugate(samples.attitude)), samples.usable[:, 0])
@@ -224,14 +224,14 @@ def _part(values: Floats, where: slice | None, of_covariance: slice | None, size
     """Return a quantity of messages, which of them contain it, and its covariances."""
     if where is None:
         return np.full((len(values), size), np.nan), np.full(len(values), False), None
-    given = np.full(len(values), True)
+    present = np.full(len(values), True)
     if of_covariance is None:
-        return values[:, where], given, None
+        return values[:, where], present, None
     covariances = _block(values[:, of_covariance])
-    given &= ~(np.diagonal(covariances, axis1=1, axis2=2) >= _MEANINGLESS).any(axis=1)
+    present &= ~(np.diagonal(covariances, axis1=1, axis2=2) >= _MEANINGLESS).any(axis=1)
     if may_lack:
-        given &= values[:, of_covariance.start] != -1.0
-    return values[:, where], given, covariances
+        present &= values[:, of_covariance.start] != -1.0
+    return values[:, where], present, covariances
 
 
 def of_table(path: str | Path, columns: Mapping[str, str] | None = None) -> MeasuredSamples:
@@ -243,9 +243,9 @@ def of_table(path: str | Path, columns: Mapping[str, str] | None = None) -> Meas
     attitude, rates = (
         values[:, [table.names.index(name) for name in group]] if group[0] in table.names else
         np.full((len(values), len(group)), np.nan) for group in (ATTITUDE, RATES))
-    given = [is_sample(attitude, table.width) & (ATTITUDE[0] in table.names),
+    present = [is_sample(attitude, table.width) & (ATTITUDE[0] in table.names),
              is_sample(rates, table.width) & (RATES[0] in table.names)]
-    return _samples(stamps_ns, attitude, rates, np.column_stack(given), notes=tuple(table.notes))
+    return _samples(stamps_ns, attitude, rates, np.column_stack(present), notes=tuple(table.notes))
 
 
 def _block(covariances: Floats) -> Floats:

@@ -185,10 +185,10 @@ class Source:
     @property
     def damage(self) -> str:
         """Return what data was lost and where; '' if nothing was lost."""
-        found = [f'{file.path}: {file.damage}' for file in self._files if file.damage]
+        lost = [f'{file.path}: {file.damage}' for file in self._files if file.damage]
         longer = f'{self._path}: {self.topic}: {self._longer} messages are longer than ' \
             f'{self.kind.name}; the bytes after its last field are ignored' if self._longer else ''
-        return shortened('; '.join([*found, *filter(None, [self._missing, longer])]))
+        return shortened('; '.join([*lost, *filter(None, [self._missing, longer])]))
 
     @property
     def notes(self) -> list[str]:

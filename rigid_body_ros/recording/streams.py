@@ -23,8 +23,9 @@ from pathlib import Path
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.messages import is_epoch_marker
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.account import Account
-from rigid_body_ros.recording.problem import bits_of, check_axes, Logged
+from rigid_body_ros.recording.problem import bits_of, check_axes
 from rigid_body_ros.recording.selection import Reading
 from rigid_body_ros.recording.source import Messages, Source
 from rigid_body_ros.recording.text_files import is_text_file
@@ -41,9 +42,8 @@ class Stream:
     pieces : iterator of Piece
     on_rotors : bool
         Whether these are the torques that the motors apply to the rotors.
-    is_held : bool
-        Whether the torques are never interpolated. Commands to an actuator are never interpolated,
-        and neither are torques that are derived from the rotor momentum.
+    interpolation : str
+        How to interpolate between samples.
     account : Account, optional
         What became of the messages; complete once the last piece has been read.
     source : Source, optional
@@ -56,10 +56,10 @@ class Stream:
 
     """
 
-    def __init__(self, pieces: Iterator[Piece], on_rotors: bool = False, is_held: bool = False,
+    def __init__(self, pieces: Iterator[Piece], on_rotors: bool, interpolation: str,
                  account: Account | None = None, source: Source | None = None) -> None:
         self._pieces, self.source, self.account = pieces, source, account
-        self.on_rotors, self._is_held = on_rotors, is_held
+        self.on_rotors, self._interpolation = on_rotors, interpolation
         self.piece = next(pieces)
 
     @property
@@ -71,18 +71,23 @@ class Stream:
         """Go to the next piece."""
         self.piece = next(self._pieces)
 
-    def log(self, interpolation: str) -> TorqueLog:
-        """Return the current piece as a torque log; raise the same errors as `Piece.log`."""
-        return self.piece.log('hold' if self._is_held else interpolation)
+    def log(self) -> TorqueLog:
+        """
+        Return the current piece as a torque log.
+
+        Raises
+        ------
+        ValueError
+            The samples mix body axes and space axes, which only the interpolation 'hold' allows.
+
+        """
+        return TorqueLog(*self.piece[:3], self._interpolation)
 
 
-def whole(logged: Logged) -> list[Stream]:
+def whole(problem: Problem) -> list[Stream]:
     """Return the torques of a problem as streams, each of which is a single piece."""
-    problem, wheels = logged.problem, logged.problem.wheels
-    held = [log for log, actuator in zip(problem.logs, problem.actuators) if actuator]
-    held += [wheels] if wheels and logged.is_measured else []
-    return [Stream(iter([Piece(log.times_ns, log.torques, log.in_space)]), log is wheels,
-                   any(log is other for other in held)) for log in problem.sources]
+    return [Stream(iter([Piece(log.times_ns, log.torques, log.in_space)]), log is problem.wheels,
+                   log.interpolation) for log in problem.sources]
 
 
 @contextmanager
@@ -123,7 +128,7 @@ def streamed(path: str | Path, scene: Scene,
                                               topics.preferred, columns=topics.columns))
                    for name in topics.wrenches]
         starts, streams = zip(*(_begun(path, scene, reading, source) for source in sources))
-        is_empty = starts[0] is None and not any(len(each.piece.times_ns) for each in streams)
+        is_empty = starts[0] is None and not any(len(stream.piece.times_ns) for stream in streams)
         if is_empty or len({bits_of(start) for start in starts}) > 1:
             raise NotInOrderError  # any error is reported when the whole recording is read
         yield starts[0], [*streams]
@@ -144,4 +149,5 @@ def _begun(path: str | Path, scene: Scene, reading: Reading,
         account.notes += source.notes
     pieces = torque_pieces(f'{path}: {source.topic}', checked(), scene.body_frame,
                            scene.space_frame, scene.links, account)
-    return start, Stream(pieces, on_rotors, account=account, source=source)
+    return start, Stream(pieces, on_rotors, reading.interpolation or scene.interpolation, account,
+                         source)

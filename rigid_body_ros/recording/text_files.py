@@ -311,10 +311,6 @@ class CsvFile(File):
         self._table = Table(path, [TORQUE], columns)
         self.notes = self._table.notes
 
-    def count(self, topic: str) -> int:
-        """Return 0, because the lines cannot be counted without reading the file."""
-        return 0
-
     def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
         """Generate the torques in blocks, in file order."""
         for stamps_ns, torques in self._table:

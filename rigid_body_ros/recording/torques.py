@@ -71,10 +71,10 @@ def epochs(path: str | Path, recorded: Messages) -> list[Messages]:
     is_marker = np.array([messages.is_epoch_marker(name) for name in recorded.names], np.bool_)
     markers = np.flatnonzero(is_marker[recorded.frames]).tolist()
     if markers[:1] != [0] and len(recorded) and (markers or _NODE_LOG.fullmatch(recorded.topic)):
-        found = f'the first marker in message {recorded.before + markers[0] + 1}' if markers \
+        where = f'the first marker in message {recorded.before + markers[0] + 1}' if markers \
             else 'no marker'
         raise InputError(f'{path}: {recorded.topic}: expected the log of a node to begin with the '
-                         f'marker and the start state of an epoch, found {found}: the recording '
+                         f'marker and the start state of an epoch, found {where}: the recording '
                          'began in the middle of an epoch, or an older version of rigid_body_ros '
                          'made it')
     return [replace(recorded.rows(slice(row + 1, end)), before=recorded.before + row + 1,
@@ -167,10 +167,9 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     if len(recorded) and not len(piece.times_ns):
         raise InputError(f'{where}: expected a finite torque, found none among {len(recorded)} '
                          'messages')
-    if not recorded.start:  # a node never accepts a torque without a stamp
-        check_stamped(where, recorded.stamps_ns)
+    check_stamped(where, recorded)
     with located(where):
-        return piece.log(interpolation)
+        return TorqueLog(*piece[:3], interpolation)
 
 
 def _torques(where: str, recorded: Messages, frames: tuple[str, str, Frames],
@@ -186,11 +185,11 @@ def _torques(where: str, recorded: Messages, frames: tuple[str, str, Frames],
         if frame_id.startswith('/') and SLASH not in account.notes:
             account.notes.append(SLASH)
         try:
-            one, frame = messages.wrench_frame(frame_id, *frames)
+            axis, frame = messages.wrench_frame(frame_id, *frames)
         except ValueError as error:
             number = recorded.before + int(np.argmax(recorded.frames == code)) + 1
             raise InputError(f'{where}: message {number}: {error}') from error
-        axes.append(one)
+        axes.append(axis)
         if frame:
             moved[code] = frame
     torques = _moved(where, recorded, moved) if moved else recorded.values[:, 3:]
@@ -218,12 +217,15 @@ def _moved(where: str, recorded: Messages, frames: Mapping[int, Frame]) -> Float
     return torques
 
 
-def check_stamped(where: str, stamps_ns: NDArray[np.int64]) -> None:
+def check_stamped(where: str, recorded: Messages) -> None:
     """Raise InputError if there are several messages and one of them has no stamp."""
+    stamps_ns = recorded.stamps_ns
+    if recorded.start or len(stamps_ns) < 2:  # a node never accepts a message without a stamp
+        return
     unstamped = np.flatnonzero(stamps_ns == 0)
     # The stamp 0 is allowed at the beginning of a log of simulated time.
     begins = stamps_ns[0] == 0 < stamps_ns.max() < _SIMULATED_NS
-    if unstamped.size and not begins and len(stamps_ns) > 1:
+    if unstamped.size and not begins:
         raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in the header, '
                          f'found 0, as in {np.sum(stamps_ns == 0)} of {len(stamps_ns)} messages; '
                          'use --time-source log for the times of the recording')
@@ -256,18 +258,6 @@ class Piece(NamedTuple):
     def rows(self, chosen: slice | NDArray[np.intp]) -> Piece:
         """Return a piece that contains only the chosen samples."""
         return Piece(self.times_ns[chosen], self.torques[chosen], self.in_space[chosen])
-
-    def log(self, interpolation: str) -> TorqueLog:
-        """
-        Return the samples as a torque log.
-
-        Raises
-        ------
-        ValueError
-            The samples mix body axes and space axes, which only the interpolation 'hold' allows.
-
-        """
-        return TorqueLog(self.times_ns, self.torques, self.in_space, interpolation)
 
 
 def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str, space_frame: str,
@@ -324,10 +314,10 @@ def _ascending(where: str, blocks: Iterable[Messages],
     yield waiting
 
 
-def _concatenated(one: Piece, other: Piece) -> Piece:
-    return Piece(np.concatenate([one.times_ns, other.times_ns]),
-                 np.concatenate([one.torques, other.torques]),
-                 np.concatenate([one.in_space, other.in_space]))
+def _concatenated(first: Piece, second: Piece) -> Piece:
+    return Piece(np.concatenate([first.times_ns, second.times_ns]),
+                 np.concatenate([first.torques, second.torques]),
+                 np.concatenate([first.in_space, second.in_space]))
 
 
 def _sorted(piece: Piece) -> Piece:

@@ -98,11 +98,10 @@ class UlogFile(File):
 
     def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
         """Generate the messages of a topic in blocks; see `File.read`."""
-        found = self._topics[topic]
-        for first in range(0, len(found.stamps_ns), _BLOCK):
+        px4, stamps_ns, logged_ns, values = self._topics[topic]
+        for first in range(0, len(stamps_ns), _BLOCK):
             rows = slice(first, first + _BLOCK)
-            yield Raw.from_values(found.kind.like, found.stamps_ns[rows], found.values[rows],
-                                  found.logged_ns[rows])
+            yield Raw.from_values(px4.like, stamps_ns[rows], values[rows], logged_ns[rows])
 
 
 @lru_cache(1)  # a command reads several topics, and pyulog reads the whole file each time
@@ -120,21 +119,22 @@ def _parsed(path: Path, identity: tuple[int, ...]
             log = ULog(stream, [*_TOPICS, _LANDED])
     except (ULogException, *_ERRORS) as error:
         raise InputError(f'{path}: expected a log of PX4 (ULog): {reason(error)}') from error
-    found, flight_ns = {}, None
-    names = {each.name for each in log.data_list}
-    for each in log.data_list:
-        if each.name == _LANDED and {'timestamp', 'landed'} <= each.data.keys():
-            flight_ns = _flight(each.data, log.last_timestamp)
-        elif each.name in _TOPICS and _REPLACED.get(each.name) not in names:
-            kind = PX4_TYPES[_TOPICS[each.name]]
-            name = f'{each.name}_{each.multi_id}' if each.multi_id else each.name
+    topics, flight_ns = {}, None
+    names = {dataset.name for dataset in log.data_list}
+    for dataset in log.data_list:
+        name, data = dataset.name, dataset.data
+        if name == _LANDED and {'timestamp', 'landed'} <= data.keys():
+            flight_ns = _flight(data, log.last_timestamp)
+        elif name in _TOPICS and _REPLACED.get(name) not in names:
+            kind = PX4_TYPES[_TOPICS[name]]
+            name += f'_{dataset.multi_id}' if dataset.multi_id else ''
             last = {f'{vector}[{len(columns) - 1}]' for vector, columns in kind.vectors.items()}
-            if {'timestamp', *last} <= each.data.keys():
-                found[name] = _topic(f'{path}: {name}', each.data, kind)
+            if {'timestamp', *last} <= data.keys():
+                topics[name] = _topic(f'{path}: {name}', data, kind)
     lost = [f'{len(log.dropouts)} dropouts of the logger, together '
-            f'{sum(each.duration for each in log.dropouts)} ms'] if log.dropouts else []
+            f'{sum(dropout.duration for dropout in log.dropouts)} ms'] if log.dropouts else []
     lost += ['damaged: parts cannot be read'] * bool(log.file_corruption)
-    return found, '; '.join(lost), flight_ns
+    return topics, '; '.join(lost), flight_ns
 
 
 def _topic(where: str, data: Mapping[str, NDArray[Any]], kind: Px4Type) -> _Topic:

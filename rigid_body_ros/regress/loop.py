@@ -167,19 +167,20 @@ def committed(path: str | Path) -> str:
     return logs[0]
 
 
-def _samples(found: Messages, kind: messages.MessageType) -> Signal:
+def _samples(recorded: Messages, kind: messages.MessageType) -> Signal:
     if isinstance(kind, messages.JointCommands):
-        log = EffortLog(found.stamps_ns, found.values)
+        log = EffortLog(recorded.stamps_ns, recorded.values)
         return Signal(log.times_ns, filled(log.efforts, np.zeros(kind.doubles)),
                       np.full(len(log), ''))
-    values = found.values[:, 3:] if kind is messages.WRENCH else \
-        messages.inertia_entries(found.values) if kind is messages.INERTIA else \
-        np.hstack([found.values[:, messages.ORIENTATION],
-                   found.values[:, messages.ANGULAR_VELOCITY]])
+    values = recorded.values[:, 3:] if kind is messages.WRENCH else \
+        messages.inertia_entries(recorded.values) if kind is messages.INERTIA else \
+        np.hstack([recorded.values[:, messages.ORIENTATION],
+                   recorded.values[:, messages.ANGULAR_VELOCITY]])
     # If several torques have the same stamp, only the last of these torques acts.
-    stamps_ns, from_end = np.unique(found.stamps_ns[::-1], return_index=True)
-    order = len(found.stamps_ns) - 1 - from_end
-    return Signal(stamps_ns, values[order], np.array(found.names, np.str_)[found.frames[order]])
+    stamps_ns, from_end = np.unique(recorded.stamps_ns[::-1], return_index=True)
+    order = len(recorded.stamps_ns) - 1 - from_end
+    frames = np.array(recorded.names, np.str_)[recorded.frames[order]]
+    return Signal(stamps_ns, values[order], frames)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,20 +247,20 @@ class Differences:
     def rows(self) -> list[tuple[str, str]]:
         """Return the differences as rows to print, each with a name and a text."""
         span = (self.end_ns - self.start_ns) * 1e-9
-        found = [('compared', f'{self.torques} torques and {self.states} states over {span:.9g} '
+        rows = [('compared', f'{self.torques} torques and {self.states} states over {span:.9g} '
                               's of the loop'),
                  ('same bits', f'{self.same_torques} of {self.torques} torques, '
                                f'{self.same_states} of {self.states} states')]
         if self.missing:
-            found.append(('stamps', f'{self.missing} are those of one of the two loops only'))
+            rows.append(('stamps', f'{self.missing} are those of one of the two loops only'))
         if self.first_ns is not None:
-            found.append(('first', f'{self._cause} at {self.first_ns} ns, '
+            rows.append(('first', f'{self._cause} at {self.first_ns} ns, '
                           f'{(self.first_ns - self.start_ns) * 1e-9:.9g} s after the start'))
         if self.attitude is not None:
             torque = '' if self.torque is None else f'torque {self.torque:.2g} N m, '
-            found.append(('largest', f'{torque}attitude {self.attitude:.2g} rad, rate '
+            rows.append(('largest', f'{torque}attitude {self.attitude:.2g} rad, rate '
                                      f'{self.rate:.2g} rad/s'))
-        return found if self.equal else found + [
+        return rows if self.equal else rows + [
             ('made by', f'{name} {there}, here {here}: the last bits may differ')
             for name, (there, here) in self.versions.items()]
 
@@ -283,18 +284,18 @@ class Differences:
 def differences(reference: Loop, loop: Loop) -> Differences:
     """Compare a loop with a reference, up to the last state of the reference."""
     last_ns = int(reference.states.times_ns[-1])
-    pairs = {name: Pair.of(*(one.torques.get(name, EMPTY).until(last_ns)
-                             for one in (reference, loop)))
+    pairs = {name: Pair.of(reference.torques.get(name, EMPTY).until(last_ns),
+                           loop.torques.get(name, EMPTY).until(last_ns))
              for name in {**reference.torques, **loop.torques}}
     states = Pair.of(reference.states, loop.states.until(last_ns))
     # If a state and a torque differ at the same stamp, report the state, because the controller
     # computes the torque from this state.
     every = {_STATE: states, **pairs}
     first = {name: pair.first_ns for name, pair in every.items() if pair.first_ns is not None}
-    name = min(first, key=lambda one: first[one], default='')
-    torques = [_largest(pair.reference - pair.found) for key, pair in pairs.items()
+    name = min(first, key=first.__getitem__, default='')
+    torques = [_largest(pair.reference - pair.loop) for key, pair in pairs.items()
                if key != INERTIA and len(pair.same)]
-    angles = so3.angle_between(states.reference[:, :4], states.found[:, :4])
+    angles = so3.angle_between(states.reference[:, :4], states.loop[:, :4])
     first_ns = first.get(name)
     if name and first_ns in every[name].missing_ns:
         name = _STAMP
@@ -305,7 +306,7 @@ def differences(reference: Loop, loop: Loop) -> Differences:
         missing=sum(len(pair.missing_ns) for pair in every.values()),
         torque=max(torques, default=None),
         attitude=float(angles.max()) if len(angles) else None,
-        rate=_largest((states.reference - states.found)[:, 4:]) if len(angles) else None,
+        rate=_largest((states.reference - states.loop)[:, 4:]) if len(angles) else None,
         start_ns=reference.start.time_ns, end_ns=last_ns,
         versions=other_versions(reference.made_by))
 
@@ -316,25 +317,24 @@ class Pair:
 
     times_ns: NDArray[np.int64]
     reference: Floats
-    found: Floats
+    loop: Floats
     same: NDArray[np.bool_]
     missing_ns: NDArray[np.int64]
     first_ns: int | None
 
     @classmethod
-    def of(cls, reference: Signal, found: Signal) -> Pair:
+    def of(cls, reference: Signal, loop: Signal) -> Pair:
         """Pair the values of two series by their stamps."""
         times_ns, rows, others = np.intersect1d(
-            reference.times_ns, found.times_ns, assume_unique=True, return_indices=True)
-        values, other_values = (np.ascontiguousarray(samples.values[chosen]) for samples, chosen
-                                in ((reference, rows), (found, others)))
+            reference.times_ns, loop.times_ns, assume_unique=True, return_indices=True)
+        values, loop_values = reference.values[rows], loop.values[others]
         if not times_ns.size:  # one series may be `EMPTY`, with a different number of columns
-            other_values = values
-        same = (values.view(np.int64) == other_values.view(np.int64)).all(axis=1) \
-            & (reference.frames[rows] == found.frames[others])
-        missing_ns = np.setxor1d(reference.times_ns, found.times_ns, assume_unique=True)
+            loop_values = values
+        same = recording.same_bits(values, loop_values)
+        same &= reference.frames[rows] == loop.frames[others]
+        missing_ns = np.setxor1d(reference.times_ns, loop.times_ns, assume_unique=True)
         differing_ns = np.concatenate([times_ns[~same], missing_ns])
-        return cls(times_ns, values, other_values, same, missing_ns,
+        return cls(times_ns, values, loop_values, same, missing_ns,
                    int(differing_ns.min()) if differing_ns.size else None)
 
 

@@ -141,8 +141,8 @@ class NodeProcess(Child, AbstractContextManager['NodeProcess']):
             The node cannot run.
 
         """
-        while isinstance(found := self._received(seconds), Status):
-            self.status, seconds = found, 0.0
+        while isinstance(message := self._received(seconds), Status):
+            self.status, seconds = message, 0.0
 
     def write(self, path: str | Path, last_ns: int) -> None:
         """
@@ -156,23 +156,23 @@ class NodeProcess(Child, AbstractContextManager['NodeProcess']):
         """
         with suppress(OSError):  # if the process has ended, its last message gives the reason
             self.connection.send((path, last_ns))
-        while isinstance(found := self._received(_PATIENCE), Status):
-            self.status = found  # the node sent this report before it received our request
-        if found != _WRITTEN:
+        while isinstance(message := self._received(_PATIENCE), Status):
+            self.status = message  # the node sent this report before it received our request
+        if message != _WRITTEN:
             raise InputError(f'expected the node to end within {_PATIENCE:g} s, found that it '
                              'hangs')
 
     def _received(self, seconds: float) -> Status | str | None:
         """Return the next message, or None if no message arrives within `seconds`."""
         try:
-            found = self.connection.recv() if self.connection.poll(seconds) else None
+            message = self.connection.recv() if self.connection.poll(seconds) else None
         except (EOFError, OSError):
             self.process.join()
             raise InputError('expected a node that runs to the end of the loop, found that its '
                              f'process ended with status {self.process.exitcode}') from None
-        if isinstance(found, InputError):
-            raise found
-        return found
+        if isinstance(message, InputError):
+            raise message
+        return message
 
 
 def _serve(connection: Connection, start: Start, logs: Collection[str]) -> None:

@@ -169,7 +169,7 @@ class Regression:
         the first and the second run of the controller.
     path : Path
         The recording of the first run.
-    found : Differences
+    differences : Differences
         The differences between `reference` and `loop`.
     again : Differences or None
         The differences between two runs of the controller; None if the controller ran only once.
@@ -181,7 +181,7 @@ class Regression:
     reference: Loop
     loop: Loop
     path: Path
-    found: Differences
+    differences: Differences
     again: Differences | None
     tolerance: float | None
 
@@ -192,7 +192,7 @@ class Regression:
 
         If `tolerance` is None, all bits must agree; otherwise, see `Differences.within`.
         """
-        return self.found.within(self.tolerance)
+        return self.differences.within(self.tolerance)
 
     @property
     def verdict(self) -> str:
@@ -201,7 +201,7 @@ class Regression:
             same = 'within the tolerance, but ' if self.is_same else ''
             return f'{same}the controller is not reproducible: two runs differ from ' \
                    f'{self.again.first_ns} ns on; does it use {_CAUSES}?'
-        if self.found.equal:
+        if self.differences.equal:
             return 'the loop has the same bits'
         if self.is_same:
             return f'the loop is the same within {self.tolerance:g} rad'
@@ -209,10 +209,10 @@ class Regression:
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the result as rows to print, each with a name and a text."""
-        found = [('result', self.verdict), *self.found.rows()]
+        rows = [('result', self.verdict), *self.differences.rows()]
         if self.again is not None and self.again.equal:
-            found.append(('second run', 'has the same bits as the first'))
-        return found
+            rows.append(('second run', 'has the same bits as the first'))
+        return rows
 
     def text(self) -> str:
         """Return the result as text, with one fact per line."""
@@ -222,7 +222,7 @@ class Regression:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of the file that the option --json writes, as JSON types."""
-        return {'equal': self.is_same, **self.found.as_dict()}
+        return {'equal': self.is_same, **self.differences.as_dict()}
 
 
 def compare(session: Session, path: str | Path, folder: Path,
@@ -252,10 +252,10 @@ def compare(session: Session, path: str | Path, folder: Path,
     reference = read(path, session.wheels)
     span, first = Span.of(reference), folder / 'first.mcap'
     loop = _recorded(session, first, span)
-    found, again = differences(reference, loop), None
-    if not found.within(tolerance):
+    changes, again = differences(reference, loop), None
+    if not changes.within(tolerance):
         again = differences(loop, _recorded(session, folder / 'second.mcap', span))
-    return Regression(reference, loop, first, found, again, tolerance)
+    return Regression(reference, loop, first, changes, again, tolerance)
 
 
 def update(session: Session, span: Span, folder: Path,
@@ -270,8 +270,8 @@ def update(session: Session, span: Span, folder: Path,
     first = folder / 'first.mcap'
     reference = _recorded(session, first, span, may_end=True)
     loop = _recorded(session, folder / 'second.mcap', Span.of(reference))
-    found = differences(reference, loop)
-    return Regression(reference, loop, first, found, found, tolerance)
+    changes = differences(reference, loop)
+    return Regression(reference, loop, first, changes, changes, tolerance)
 
 
 def _recorded(session: Session, path: Path, span: Span, may_end: bool = False) -> Loop:

@@ -54,23 +54,23 @@ def report_of(regression: Regression, name: str, scene: Scene) -> Report:
 
 def _panels(regression: Regression) -> Iterator[Panel]:
     reference, loop = regression.reference, regression.loop
-    start_ns, first_ns = reference.start.time_ns, regression.found.first_ns
+    start_ns, first_ns = reference.start.time_ns, regression.differences.first_ns
     lines = {} if first_ns is None else {'first difference': (first_ns - start_ns) * 1e-9}
     states = (reference.states, loop.states)
     turned = Pair.of(*states)
-    errors = so3.difference(turned.reference[:, :4], turned.found[:, :4])
+    errors = so3.difference(turned.reference[:, :4], turned.loop[:, :4])
     yield _panel('quaternion', '', states, QUATERNION, slice(4), start_ns, lines)
     yield _difference('attitude, body axes', 'rad', turned, errors, start_ns, lines)
     label = 'angular velocity, body axes'
     yield _panel(label, 'rad/s', states, RATES, slice(4, 7), start_ns, lines)
-    yield _difference(label, 'rad/s', turned, (turned.found - turned.reference)[:, 4:], start_ns,
+    yield _difference(label, 'rad/s', turned, (turned.loop - turned.reference)[:, 4:], start_ns,
                       lines)
     for name in sorted({*reference.torques, *loop.torques} - {INERTIA}):
         torques = (reference.torques.get(name, EMPTY), loop.torques.get(name, EMPTY))
         label, pair = name.removeprefix('accepted_').replace('_', ' '), Pair.of(*torques)
         names = loop.wheels if name == COMMANDS else TORQUES
         yield _panel(label, 'N m', torques, names, slice(len(names)), start_ns, lines)
-        yield _difference(label, 'N m', pair, pair.found - pair.reference, start_ns, lines,
+        yield _difference(label, 'N m', pair, pair.loop - pair.reference, start_ns, lines,
                           loop.wheels if name == COMMANDS else SIGNED)
 
 
@@ -81,7 +81,8 @@ def _panel(label: str, unit: str, loops: Sequence[Signal], names: Sequence[str],
                              [f'{name}{of}' for name in names], start_ns, drawn)
               for samples, of, drawn in zip(loops, (' of the reference', ''), ('broad', 'line'))
               if len(samples)]
-    return Panel(label, unit, [replace(each, step=unit == 'N m') for each in curves], lines=lines)
+    curves = [replace(curve, step=unit == 'N m') for curve in curves]
+    return Panel(label, unit, curves, lines=lines)
 
 
 def _difference(label: str, unit: str, pair: Pair, errors: Floats, start_ns: int,

@@ -28,11 +28,12 @@ from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
+from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
+from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation import Integration, Problem, Trajectory
 from rigid_body_ros.recording import Logged, NotInOrderError, Reading, Stream
-from rigid_body_ros.recording.gaps import announce, computing_time, Gaps
-from rigid_body_ros.replay.saturation import Saturation
+from rigid_body_ros.recording.gaps import announce, Gaps
 from rigid_body_ros.scene import Scene
 
 #: The names by which you request additional output topics of a replay.
@@ -188,9 +189,7 @@ class Batches:
             for gaps, log in zip(self.gaps, logs):
                 gaps.add(log)
             span_ns = begin_ns, self._outputs.done_ns
-            announce(self._where, max((computing_time(log, span_ns, self._speed,
-                                                      self._request.scene) for log in logs),
-                                      default=0.0))
+            announce(self._where, logs, span_ns, self._speed, self._request.scene)
             motion = self._motion = self._continued(self._motion, logs)
             # If the IMU has a delay, the torques are always a single piece.
             earlier = self._continued(None, logs) if self._delay_ns else None
@@ -230,7 +229,7 @@ class Batches:
         logs = []
         for stream in self.streams:
             try:
-                logs.append(stream.log(self._request.interpolation))
+                logs.append(stream.log())
             except ValueError as error:
                 topic = stream.source.topic if stream.source else self._topics
                 raise InputError(f'{self._request.path}: {topic}: {error}') from error
@@ -250,9 +249,72 @@ class Batches:
         return motion
 
 
+class Saturation:
+    """
+    Speeds and efforts of named wheels, compared with `max_speed` and `max_torque`.
+
+    Parameters
+    ----------
+    wheels : Wheels
+
+    Attributes
+    ----------
+    speeds : array, shape (n,), rad/s
+        The largest speed of each wheel at any output; zeros if no wheel has a `max_speed`.
+    clipped, refused : int
+        How many efforts were clipped to `max_torque`, and how many acted as zero because the wheel
+        was at `max_speed` or above.
+
+    """
+
+    def __init__(self, wheels: Wheels) -> None:
+        self._wheels = wheels
+        self.speeds: Floats = np.zeros(len(wheels))
+        self.clipped = self.refused = 0
+        #: The number of rows of the log that have been counted.
+        self._counted = 0
+
+    def add(self, motion: Trajectory, log: EffortLog | None, refused: int) -> None:
+        """
+        Add a part of the motion.
+
+        Parameters
+        ----------
+        motion : Trajectory
+            The part.
+        log : EffortLog, optional
+            All commands to the wheels, for the whole motion.
+        refused : int
+            How many efforts acted as zero from the start of the motion to the end of this part.
+
+        """
+        if self._wheels.is_limited:
+            speeds = np.abs(motion.wheel_speeds).max(axis=0, initial=0.0)
+            self.speeds = np.maximum(self.speeds, speeds)
+        self.refused = refused
+        if log and motion.times_ns.size:
+            stop = int(np.searchsorted(log.times_ns, motion.times_ns[-1], 'right'))
+            self.clipped += self._wheels.count_clipped(log.efforts[self._counted:stop])
+            self._counted = stop
+
+    @property
+    def warnings(self) -> list[str]:
+        """Return warnings about wheels that were too fast and about efforts that were changed."""
+        warnings = [f'{wheel.name}: the wheel turned at up to {speed:.6g} rad/s, faster than its '
+                    f'max_speed of {wheel.max_speed:.9g} rad/s, which is checked only when a '
+                    'command takes effect'
+                    for wheel, speed in zip(self._wheels.wheels, self.speeds.tolist())
+                    if 0.0 < wheel.max_speed < speed]
+        if self.clipped:
+            warnings.append(f'efforts clipped to max_torque: {self.clipped}')
+        if self.refused:
+            warnings.append(f'efforts that acted as zero at max_speed: {self.refused}')
+        return warnings
+
+
 class _OutputTimes:
     """
-    Determine the output times piece by piece.
+    Determine the output times piece by piece; `end_of` says when the motion ends.
 
     In an epoch of a node, the first output is at the start of the epoch, because the node commits
     its start state. This holds even if all torques of the epoch are older than its start, or if
@@ -264,17 +326,6 @@ class _OutputTimes:
         #: The end of the motion computed so far, ns, and the number of outputs so far.
         self.done_ns, self._count = start_ns, 0
 
-    def end_ns(self, stamps_ns: NDArray[np.int64]) -> int:
-        """
-        Return the time at which the motion ends, ns.
-
-        The end may depend on the stamps of the torques; see `end_of`.
-        """
-        last_ns = int(stamps_ns[-1]) if stamps_ns.size else self._start_ns
-        if self._is_epoch:
-            last_ns = max(last_ns, self._start_ns)
-        return end_of(self._request.path, last_ns, self._start_ns, self._request.reading.until)
-
     def up_to(self, stamps_ns: NDArray[np.int64], until_ns: int | None
               ) -> tuple[range, Callable[[range], NDArray[np.int64]]]:
         """
@@ -284,8 +335,12 @@ class _OutputTimes:
         motion. The times are computed by a function because, at a high rate, the times of all
         outputs would not fit in memory.
         """
-        start_ns, rate = self._start_ns, self._request.rate
-        end_ns = self.end_ns(stamps_ns) if until_ns is None else until_ns
+        start_ns, rate, end_ns = self._start_ns, self._request.rate, until_ns
+        if end_ns is None:
+            last_ns = int(stamps_ns[-1]) if stamps_ns.size else start_ns
+            end_ns = end_of(self._request.path,
+                            max(last_ns, start_ns) if self._is_epoch else last_ns, start_ns,
+                            self._request.reading.until)
         if rate is None:
             first = np.searchsorted(stamps_ns, self.done_ns, 'right' if self._count else 'left')
             times = stamps_ns[first:np.searchsorted(stamps_ns, end_ns, 'right')]

@@ -183,20 +183,20 @@ def _integrals(problem: Problem, trajectory: Trajectory) -> str:
     rates = np.vstack([start.angular_velocity, trajectory.angular_velocity])
     momentum = so3.rotate(attitude, body.angular_momentum(rates) + start.rotor_momentum)
     energies = [body.kinetic_energy(rates), *(
-        one.potential_energy(body, times_ns, attitude) for one in fields)]
-    uniform = [one for one in fields if isinstance(one, UniformField)]
-    for one in fields:
-        if isinstance(one, GravityGradient):
-            energies.append(-one.mean_motion * (momentum @ np.asarray(one.normal)))
+        field.potential_energy(body, times_ns, attitude) for field in fields)]
+    uniform = [field for field in fields if isinstance(field, UniformField)]
+    for field in fields:
+        if isinstance(field, GravityGradient):
+            energies.append(-field.mean_motion * (momentum @ np.asarray(field.normal)))
             return '' if uniform else f"Jacobi's integral {_change(energies):.1e}"
-    found = f'the energy {_change(energies):.1e}'
-    directions = np.array([one.field for one in uniform])
+    text = f'the energy {_change(energies):.1e}'
+    directions = np.array([field.field for field in uniform])
     if np.linalg.matrix_rank(directions / np.linalg.norm(directions, axis=1)[:, None]) > 1:
-        return found
+        return text
     along = momentum @ (directions[0] / np.linalg.norm(directions[0]))
     largest = _norm(momentum)
     about = float(np.abs(along - along[0]).max()) / (largest or 1.0)
-    return f'{found}, of the momentum about the field {about:.1e}'
+    return f'{text}, of the momentum about the field {about:.1e}'
 
 
 def _change(terms: Sequence[Floats]) -> float:
@@ -286,7 +286,7 @@ def _interval_edges(problem: Problem, trajectory: Trajectory) -> NDArray[np.int6
     wheels = problem.named_wheels
     speed = _norm(trajectory.angular_velocity) + _linear_rate(trajectory) + (
         wheels.decay_rate(wheels.carrier(problem.body)) if wheels else 0.0) + sum(
-        float(one.speed(least, largest)) for one in problem.fields) + max(
+        float(field.speed(least, largest)) for field in problem.fields) + max(
             [1.0 / constant for constant in time_constants(problem.actuators)], default=0.0)
     counts = np.ceil(lengths * 1e-9 * speed / _INTERVAL_ANGLE)
     counts = counts.clip(1, _MOST_INTERVALS).astype(int)

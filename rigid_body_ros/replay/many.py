@@ -18,7 +18,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, ExitStack, redirect_stderr
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 import io
 import os
 from pathlib import Path
@@ -90,8 +91,8 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         with files.reported(folder):
             Path(folder).mkdir(parents=True, exist_ok=True)
         with _partial_outputs_reported(Path(folder)), Processes() as processes:
-            outcomes = processes.results(_Replay(paths, scene, options), zip(paths, outputs),
-                                         _died)
+            run = partial(_replayed, paths, scene, options, files.may_overwrite())
+            outcomes = processes.results(run, zip(paths, outputs), _died)
             done = list(progress('recordings', ' files')(outcomes, len(paths)))
     return sorted(done, key=lambda outcome: outputs.index(outcome.output))
 
@@ -157,40 +158,24 @@ def _partial_outputs_reported(folder: Path) -> Iterator[None]:
         raise
 
 
-@dataclass(frozen=True)
-class _Replay:
+def _replayed(inputs: Sequence[str], scene: Scene, options: dict[str, Any], overwrite: bool,
+              task: Task) -> Outcome:
     """
-    Calls `replay` for one recording, in a worker process.
+    Replay one recording, in a worker process.
 
-    Attributes
-    ----------
-    inputs : sequence of str
-        All recordings; an output must not replace any of these files.
-    scene : Scene
-    options : dict
-        Options for `replay`.
-    overwrite : bool
-        Whether outputs may replace existing files.
-
+    No output replaces any of `inputs`, which are all recordings; `overwrite` says whether outputs
+    may replace other existing files.
     """
-
-    inputs: Sequence[str]
-    scene: Scene
-    options: dict[str, Any]
-    overwrite: bool = field(default_factory=files.may_overwrite)
-
-    def __call__(self, task: Task) -> Outcome:
-        path, output = task
-        # tqdm's default lock has a semaphore that would outlive a killed process, so use another.
-        tqdm.set_lock(threading.RLock())
-        # Only the main process shows a progress bar.
-        with redirect_stderr(io.StringIO()), files.reading(*self.inputs), \
-                files.overwriting(self.overwrite):
-            try:
-                result = replay(path, self.scene, output, **self.options)
-            except InputError as error:
-                return Outcome(path, output, error=str(error))
-        return Outcome(path, output, _summary(result, output))
+    path, output = task
+    # tqdm's default lock has a semaphore that would outlive a killed process, so use another.
+    tqdm.set_lock(threading.RLock())
+    # Only the main process shows a progress bar.
+    with redirect_stderr(io.StringIO()), files.reading(*inputs), files.overwriting(overwrite):
+        try:
+            result = replay(path, scene, output, **options)
+        except InputError as error:
+            return Outcome(path, output, error=str(error))
+    return Outcome(path, output, _summary(result, output))
 
 
 def _died(task: Task, error: WorkerError) -> Outcome:

@@ -55,10 +55,10 @@ def suffix_of(output: str | Path) -> str:
 
 def check_also(also: Collection[str], output: str | Path | None) -> None:
     """Raise InputError if `also` names an unknown topic, or if the output is a CSV file."""
-    known = *_ALSO, INPUT
+    names = *_ALSO, INPUT
     for name in also:
-        if name not in known:
-            raise InputError(f'also: expected some of {", ".join(known)}, found {name!r}')
+        if name not in names:
+            raise InputError(f'also: expected some of {", ".join(names)}, found {name!r}')
     if also and output is not None and suffix_of(output) == _CSV:
         raise InputError('--also: expected an MCAP file or a rosbag2 folder as output, because a '
                          f'CSV file has no topics, found {output}')
@@ -66,14 +66,14 @@ def check_also(also: Collection[str], output: str | Path | None) -> None:
 
 def topics(request: Request) -> dict[str, MessageType]:
     """Return the topics that the output will contain, with their types."""
-    found = dict(_TOPICS)
+    kinds = dict(_TOPICS)
     if request.scene.has_rotors:
-        found[_ROTOR_MOMENTUM] = messages.VECTOR3
+        kinds[_ROTOR_MOMENTUM] = messages.VECTOR3
     if names := [wheel.name for wheel in request.scene.named_wheels]:
-        found[_WHEEL_STATES] = messages.joint_states(names)
+        kinds[_WHEEL_STATES] = messages.joint_states(names)
     for name in request.also:
-        found.update(_ALSO.get(name, {}))  # 'input' copies existing topics
-    return found
+        kinds.update(_ALSO.get(name, {}))  # 'input' copies existing topics
+    return kinds
 
 
 @contextmanager
@@ -97,7 +97,14 @@ def writing(output: str | Path, request: Request,
             interrupts.check()
         return
     with recording.writer_of(output) as writer:
-        _add_topics(writer, request)
+        for topic, kind in topics(request).items():
+            writer.add_topic(topic, kind)
+        writer.add_metadata(NAME, {
+            'fingerprint': json.dumps(fingerprint()),
+            'scene': json.dumps(dict(request.scene.values)),
+            'interpolation': request.interpolation,
+            # A file name may contain bytes that cannot be decoded to text.
+            'torques': Path(request.path).name.encode(errors='replace').decode()})
         yield partial(_write_messages, writer, request)
         if copied:
             copied.copy_to(writer)
@@ -132,17 +139,6 @@ def _columns(scene: Scene, motion: Trajectory) -> dict[str, Floats]:
         columns[f'speed_{wheel.name} (rad/s),effort_{wheel.name} (Nm)'] = np.column_stack(
             [motion.wheel_speeds[:, number], motion.wheel_efforts[:, number]])
     return columns
-
-
-def _add_topics(writer: recording.Writer, request: Request) -> None:
-    """Add the topics of the motion and its metadata to a recording."""
-    for topic, kind in topics(request).items():
-        writer.add_topic(topic, kind)
-    writer.add_metadata(NAME, {
-        'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(request.scene.values)),
-        'interpolation': request.interpolation,
-        # A file name may contain bytes that cannot be decoded to text.
-        'torques': Path(request.path).name.encode(errors='replace').decode()})
 
 
 def _write_messages(writer: recording.Writer, request: Request, batch: Batch,

@@ -24,9 +24,8 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.recording.account import Account
 from rigid_body_ros.recording.gaps import Gaps
-from rigid_body_ros.replay.batches import Collector
+from rigid_body_ros.replay.batches import Collector, Saturation
 from rigid_body_ros.replay.check import Check, LastDigits
-from rigid_body_ros.replay.saturation import Saturation
 from rigid_body_ros.report.text import lines, numbers
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.parts import described
@@ -123,11 +122,12 @@ class Replay:
 
     def rows(self, digits: int = 15) -> list[tuple[str, object]]:
         """Return the rows of the summary; numbers in states have `digits` significant digits."""
-        last, epochs = self.last, (*self.earlier, self)
+        last, moved, epochs = self.last, self.last_digits, (*self.earlier, self)
         sequence = self.scene.euler_sequence
         angles = euler.from_quaternion(last.attitude, sequence)
-        seconds = {name: sum(one.seconds[name] for one in epochs) for name in self.seconds}
+        seconds = {name: sum(epoch.seconds[name] for epoch in epochs) for name in self.seconds}
         split = ', '.join(f'{name} {taken:.2g} s' for name, taken in seconds.items())
+        longest = sorted(self.gaps, key=lambda gaps: gaps.longest[1])
         speed = sum(map(_span, epochs)) / sum(seconds.values())
         return [
             *_earlier(self, digits),
@@ -136,7 +136,7 @@ class Replay:
             *([('lost', self.damage)] if self.damage else []),
             *([('account', self.account.counted)] if self.account.counted else []),
             *(('note', text) for text in self.account.notes),
-            *_longest_gap(self),
+            *(('longest gap', str(gaps)) for gaps in longest[-1:] if gaps.longest[1]),
             *(('warning', text) for text in self.warnings),
             ('interpolation', f'{self.interpolation} (attitude_tradeoff shows what another would '
                               'change)'),
@@ -152,7 +152,8 @@ class Replay:
               if self.scene.has_rotors else []),
             *self.uncertain,
             ('check', self.check),
-            *([('last digits', self.last_digits)] if _is_reported(self.last_digits) else []),
+            *([('last digits', moved)] if moved and
+              moved.effect > _REPORTED * moved.rounding else []),
             ('speed', f'{speed:.3g} times real time ({split})'),
         ]
 
@@ -163,24 +164,15 @@ def _earlier(result: Replay, digits: int) -> list[tuple[str, object]]:
         return []
     return [('epochs', f'{len(result.earlier) + 1}, each from its own start state; the rows '
                        'below, plots and pages describe the last one'),
-            *((f'  epoch {number}', f'from {one.start.time_ns} ns on, over {_span(one):.9g} s, to '
-               f'attitude {numbers(one.last.attitude, digits)} (x y z w) and body rates '
-               f'{numbers(one.last.angular_velocity, digits)} rad/s')
-              for number, one in enumerate(result.earlier, 1))]
-
-
-def _longest_gap(result: Replay) -> list[tuple[str, object]]:
-    gaps = [gaps for gaps in result.gaps if gaps.longest.length_ns]
-    longest = sorted(gaps, key=lambda one: one.longest.length_ns)[-1:]
-    return [('longest gap', str(one)) for one in longest]
+            *((f'  epoch {number}',
+               f'from {epoch.start.time_ns} ns on, over {_span(epoch):.9g} s, to attitude '
+               f'{numbers(epoch.last.attitude, digits)} (x y z w) and body rates '
+               f'{numbers(epoch.last.angular_velocity, digits)} rad/s')
+              for number, epoch in enumerate(result.earlier, 1))]
 
 
 def _span(result: Replay) -> float:
     return (result.last.time_ns - result.start.time_ns) * 1e-9
-
-
-def _is_reported(digits: LastDigits | None) -> bool:
-    return digits is not None and digits.effect > _REPORTED * digits.rounding
 
 
 def _solvers(result: Replay) -> list[str]:

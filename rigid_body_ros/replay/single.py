@@ -191,8 +191,8 @@ def _whole(request: Request) -> Sequence[Epoch]:
         recording.read_epochs(request.path, request.scene, reading)
     return [(Replay(request.scene, request.interpolation, ', '.join(logged.topics),
                     reading.topics.wheel_source, logged.account, damage=logged.damage),
-             Batches(request, ', '.join(logged.topics), whole(logged), logged.problem,
-                     logged.is_epoch))
+             Batches(request, ', '.join(logged.topics), whole(logged.problem),
+                     logged.problem, logged.is_epoch))
             for logged in logs]
 
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 from bisect import bisect
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -79,8 +79,14 @@ class Verified:
 
     def text(self) -> str:
         """Return a text that says how well the two motions agree, with one fact per line."""
-        count = len(self.same)
-        rows = [('compared', f'{count} states of {self.topic}{_epochs(self)}'),
+        count, part, pending = len(self.same), '', ''
+        if self.epochs:
+            compared = '' if self.compared_epochs == self.epochs else f'{self.compared_epochs} of '
+            part = f' in {compared}{self.epochs} epoch{"s" * (self.epochs > 1)}'
+        if self.pending:
+            has = ' has' if self.pending == 1 else 's have'
+            pending = f'; {self.pending} torque{has} no committed state'
+        rows = [('compared', f'{count} states of {self.topic}{part}{pending}'),
                 ('same bits', f'{np.count_nonzero(self.same)} of {count}'),
                 ('difference', f'at most {self.angles.max():.2g} rad')]
         if not self.same.all():
@@ -152,22 +158,23 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
     values = np.hstack([recorded.values[:, messages.ORIENTATION],
                         recorded.values[:, messages.ANGULAR_VELOCITY]]) \
         if is_state else recorded.values
+    parts = []
     with located(f'{motion_path}: {source.topic}', InputError):
-        parts = []
-        for one, rows in zip(epochs, _rows(epochs, recorded.stamps_ns, values)):
-            stamps_ns, states = _until(one.problem.start.time_ns + until_ns,
-                                       recorded.stamps_ns[rows], values[rows])
+        for epoch, rows in zip(epochs, _rows(epochs, recorded.stamps_ns, values)):
+            parts.append(_until(epoch.problem.start.time_ns + until_ns, recorded.stamps_ns[rows],
+                                values[rows]))
             if is_state:
-                _check_torques(one, stamps_ns)
-            parts.append((one, stamps_ns, states))
-    compared = [_compared(path, *part) for part in parts]
-    same, angles = (np.concatenate(each) for each in zip(*compared))
-    is_node = epochs[0].is_epoch
-    return Verified(source.topic, np.concatenate([stamps_ns for _, stamps_ns, _ in parts]), same,
-                    angles, other_versions(made_by), len(epochs) if is_node else 0,
-                    sum(len(stamps_ns) > 0 for _, stamps_ns, _ in parts) if is_node else 0,
-                    sum(_pending(one, stamps_ns, until_ns) for one, stamps_ns, _ in parts)
-                    if is_node and is_state else 0)
+                _check_torques(epoch, parts[-1][0])
+    same, angles = map(np.concatenate, zip(*(
+        _compared(path, epoch, *part) for epoch, part in zip(epochs, parts))))
+    stamps_ns = [stamps for stamps, _ in parts]
+    result = Verified(source.topic, np.concatenate(stamps_ns), same, angles,
+                      other_versions(made_by))
+    if not epochs[0].is_epoch:
+        return result
+    pending = [_pending(*part, until_ns) for part in zip(epochs, stamps_ns)]
+    return replace(result, epochs=len(epochs), pending=sum(pending) if is_state else 0,
+                   compared_epochs=sum(stamps.size > 0 for stamps in stamps_ns))
 
 
 def _rows(epochs: Sequence[Logged], stamps_ns: NDArray[np.int64], values: Floats) -> list[slice]:
@@ -180,7 +187,7 @@ def _rows(epochs: Sequence[Logged], stamps_ns: NDArray[np.int64], values: Floats
         raise InputError('expected states, found no messages')
     start, is_state = epochs[0].problem.start, values.shape[1] > 4
     if epochs[0].is_epoch:
-        return _rows_of_epochs([one.problem.start for one in epochs], stamps_ns, values)
+        return _rows_of_epochs([epoch.problem.start for epoch in epochs], stamps_ns, values)
     # A node marks the start of each epoch. If there are no markers, the motion starts with the
     # last state at the start time.
     begun = np.flatnonzero(stamps_ns == start.time_ns)
@@ -268,9 +275,7 @@ def _compared(path: str | Path, epoch: Logged, stamps_ns: NDArray[np.int64],
     with located(path):
         motion = epoch.problem.propagate(at=stamps_ns)
     expected = np.hstack([motion.attitude, motion.angular_velocity])[:, :values.shape[1]]
-    same = np.ascontiguousarray(values).view(np.int64) \
-        == np.ascontiguousarray(expected).view(np.int64)
-    return same.all(axis=1), so3.angle_between(values[:, :4], motion.attitude)
+    return recording.same_bits(values, expected), so3.angle_between(values[:, :4], motion.attitude)
 
 
 def _pending(epoch: Logged, stamps_ns: NDArray[np.int64], until_ns: int) -> int:
@@ -322,14 +327,3 @@ def _check_torques(epoch: Logged, stamps_ns: NDArray[np.int64]) -> None:
             f'expected a torque at the stamp of each state, found none for {missing.size} of '
             f'{stamps_ns.size} states, the first at {missing[0]} ns: {where} of the torque log is '
             'missing')
-
-
-def _epochs(result: Verified) -> str:
-    """Say how many epochs were compared, and how many states are missing."""
-    if not result.epochs:
-        return ''
-    part = '' if result.compared_epochs == result.epochs else f'{result.compared_epochs} of '
-    one = result.pending == 1
-    pending = f'; {result.pending} torque{" has" if one else "s have"} no committed state' \
-        if result.pending else ''
-    return f' in {part}{result.epochs} epoch{"s" * (result.epochs > 1)}{pending}'
