@@ -46,11 +46,11 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column, writer_of
 from rigid_body_ros.recording.measured import faults_of, Measured
 from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.recording.observed import Measurements, read_observed
 from rigid_body_ros.recording.selection import Reading
+from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, writer_of
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene

@@ -26,25 +26,15 @@ result is a `measured.Measured`. `observed` reads torques and measurements toget
 Writing: `writer` writes MCAP files and rosbag2 bags, using `container` for the individual records.
 """
 
-from rigid_body_ros.recording.problem import chosen, Logged, read_epochs, same_bits, started
+from rigid_body_ros.recording.problem import chosen, Logged, read_epochs, same_bits
 from rigid_body_ros.recording.problem import read as read_problem
 from rigid_body_ros.recording.selection import Reading, Topics
 from rigid_body_ros.recording.source import joined, Messages, read, Source, topics, TORQUES
-from rigid_body_ros.recording.streams import Stream, streamed, whole
 from rigid_body_ros.recording.torques import epochs, NotInOrderError, torque_log, torque_pieces
 from rigid_body_ros.recording.ulog_file import is_ulog
-from rigid_body_ros.recording.writer import (
-    ANGULAR_VELOCITY,
-    ATTITUDE,
-    Column,
-    FolderWriter,
-    suffix_of,
-    Writer,
-    writer_of,
-)
+from rigid_body_ros.recording.writer import Column, FolderWriter, suffix_of, Writer, writer_of
 
-__all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'TORQUES', 'Column', 'FolderWriter', 'Logged',
-           'Messages', 'NotInOrderError', 'Reading', 'Source', 'Stream', 'Topics', 'Writer',
-           'chosen', 'epochs', 'is_ulog', 'joined', 'read', 'read_epochs', 'read_problem',
-           'same_bits', 'started', 'streamed', 'suffix_of', 'topics', 'torque_log',
-           'torque_pieces', 'whole', 'writer_of']
+__all__ = ['TORQUES', 'Column', 'FolderWriter', 'Logged', 'Messages', 'NotInOrderError', 'Reading',
+           'Source', 'Topics', 'Writer', 'chosen', 'epochs', 'is_ulog', 'joined', 'read',
+           'read_epochs', 'read_problem', 'same_bits', 'suffix_of', 'topics', 'torque_log',
+           'torque_pieces', 'writer_of']

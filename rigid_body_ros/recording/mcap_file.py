@@ -37,8 +37,7 @@ from rigid_body_ros.common.errors import InputError, listed, quoted, reason
 from rigid_body_ros.engine import kernels
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Bytes, Ints, Raw
-from rigid_body_ros.recording.definitions import full_name
-from rigid_body_ros.recording.file import File
+from rigid_body_ros.recording.file import File, full_name
 from rigid_body_ros.recording.unpack import LARGEST, unpack
 from rigid_body_ros.runtime.limits import open_file
 import zstandard

@@ -16,20 +16,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros import messages
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.frames import Frame, Frames, NO_FRAMES, TurningFrame
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import quantities, source
 from rigid_body_ros.recording.account import SLASH
-from rigid_body_ros.recording.chains import chained, STATIC
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.quantities import KINDS, MeasuredSamples, QUANTITIES
 from rigid_body_ros.recording.source import joined, Messages, Source, with_types
@@ -44,6 +46,13 @@ _TRANSFORMS = tuple(kind for kind in KINDS if kind.has_child_frame)
 _OF_SENSOR = (messages.IMU, messages.VECTOR3)
 
 
+#: What the name of a topic of fixed transforms ends in.
+_STATIC = '_static'
+_ROTATION = slice(3, 7)
+#: A frame_id and a child_frame_id.
+_Pair = tuple[str, str]
+
+
 class MeasuredOptions(NamedTuple):
     """
     How to read measured topics.
@@ -54,7 +63,7 @@ class MeasuredOptions(NamedTuple):
         The parent frame and the child frame of the messages to read, if the topic contains
         transforms or Odometry messages. The default for a TFMessage topic is to read the
         transforms from the space frame to the body frame, or to compose them from a chain of
-        transforms; see `chains.chained`. The default for a TransformStamped or Odometry topic is
+        transforms; see `_chained`. The default for a TransformStamped or Odometry topic is
         to read all messages, which must have the same pair of frames.
     body_frame, space_frame : str
         The frames of the scene.
@@ -235,14 +244,14 @@ def _messages(path: str | Path, topic: str,
         recorded = joined(topic, kind, blocks, opened.damage)
     if not len(recorded) and frames:
         if kind is messages.TRANSFORM:
-            return chained(path, topic, frames, time_source), kind
+            return _chained(path, topic, frames, time_source), kind
         raise InputError(f'{path}: {topic}: expected transforms from {quoted(frames[0])} to '
                          f'{quoted(frames[1])}, found none; choose other frames with --frames')
     return recorded, kind
 
 
 def _only_topic(path: str | Path) -> str:
-    topics = [topic for topic in source.topics(path, _CERTAIN) if not topic.endswith(STATIC)]
+    topics = [topic for topic in source.topics(path, _CERTAIN) if not topic.endswith(_STATIC)]
     if len(topics) != 1:
         types = source.topics(path)
         advice = '; choose one with --measured' if topics else ''
@@ -314,3 +323,96 @@ def _other_frames(where: str, recorded: Messages, kind: MessageType,
                          'one with --frames')
     pairs = [*recorded.pairs] if kind.has_child_frame else [(name, '') for name in recorded.names]
     return '; '.join(filter(None, (options.other_frames(kind, *pair) for pair in pairs)))
+
+
+def _chained(path: str | Path, topic: str, ends: _Pair, time_source: str) -> Messages:
+    """
+    Compose the rotations between two frames that no message connects directly.
+
+    They are composed at the stamps of the fastest transform in the chain. The rotations of the
+    others are interpolated with a constant angular velocity (slerp) between their samples. A
+    transform on a topic whose name ends in _static holds at all times.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording.
+    topic : str
+        A topic of type TFMessage.
+    ends : tuple of str
+        The first and the last frame of the chain.
+    time_source : str
+        As for `Source`.
+
+    Returns
+    -------
+    Messages
+        In the order of the recording. The rotation is NaN at stamps at which one of the other
+        transforms is not known.
+
+    Raises
+    ------
+    InputError
+        No chain of transforms connects the frames, or all of its transforms are fixed.
+
+    """
+    homes: dict[_Pair, str] = {}
+    transforms = source.topics(path, [messages.TRANSFORM])
+    for name in sorted({topic, topic + _STATIC}.intersection(transforms)):
+        with Source(path, name, [messages.TRANSFORM], time_source) as opened:
+            homes |= dict.fromkeys(opened.pairs(), name)
+    pairs = _chain(homes, *ends)
+    described = [f'{quoted(parent)} to {quoted(child)}' for parent, child in homes]
+    if not pairs:
+        raise InputError(f'{path}: {topic}: expected transforms from {quoted(ends[0])} to '
+                         f'{quoted(ends[1])}, directly or in a chain, found '
+                         f'{listed(described)}; choose other frames with --frames')
+    links = []
+    for pair in pairs:
+        recorded = pair if pair in homes else pair[::-1]
+        with Source(path, homes[recorded], [messages.TRANSFORM], time_source,
+                    frames=recorded) as opened:
+            link = joined(topic, messages.TRANSFORM, [*opened], opened.damage)
+        rotations = so3.normalize(link.values[:, _ROTATION])
+        link.values[:, _ROTATION] = rotations if pair in homes else so3.conjugate(rotations)
+        links.append(replace(link, stamps_ns=link.stamps_ns[:0], values=link.values[-1:])
+                     if homes[recorded].endswith(_STATIC) else link)
+    fastest = max(links, key=lambda link: len(link.stamps_ns))
+    if not len(fastest):
+        raise InputError(f'{path}: {topic}: expected a transform that changes between '
+                         f'{quoted(ends[0])} and {quoted(ends[1])}, found fixed ones only')
+    values = fastest.values.copy()
+    values[:, _ROTATION] = [0.0, 0.0, 0.0, 1.0]
+    for link in links:
+        rotations = link.values[:, _ROTATION] if link is fastest else _at(fastest.stamps_ns, link)
+        values[:, _ROTATION] = so3.multiply(values[:, _ROTATION], rotations)
+    return replace(fastest, values=values)
+
+
+def _chain(pairs: Collection[_Pair], first: str, last: str) -> list[_Pair]:
+    """Return the shortest chain of pairs of frames, in either direction; [] if there is none."""
+    chains: dict[str, list[_Pair]] = {first: []}
+    waiting = [first]
+    for frame in waiting:  # the loop extends this list
+        for pair in [*pairs, *(pair[::-1] for pair in pairs)]:
+            if pair[0] == frame and pair[1] not in chains:
+                chains[pair[1]] = [*chains[frame], pair]
+                waiting.append(pair[1])
+    return chains.get(last, [])
+
+
+def _at(times_ns: NDArray[np.int64], link: Messages) -> Floats:
+    """Return the rotations of a link at the given times; NaN before and after its samples."""
+    rotations = link.values[:, _ROTATION]
+    if not len(link):  # fixed
+        return rotations
+    stamps_ns, rows = np.unique(link.stamps_ns[::-1], return_index=True)
+    rotations = rotations[::-1][rows]
+    before = np.clip(np.searchsorted(stamps_ns, times_ns, 'right') - 1, 0,
+                     max(len(stamps_ns) - 2, 0))
+    after = np.minimum(before + 1, len(stamps_ns) - 1)
+    share = (times_ns - stamps_ns[before]) / np.maximum(stamps_ns[after] - stamps_ns[before], 1)
+    turns = so3.difference(rotations[before], rotations[after])
+    is_known = (times_ns >= stamps_ns[0]) & (times_ns <= stamps_ns[-1])
+    return np.where(is_known[:, None], so3.multiply(
+        rotations[before], so3.exp(share[:, None] * turns)), np.nan)

@@ -12,11 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Combine a recording and a scene into problems: one for each epoch."""
+"""
+Combine a recording and a scene into problems, one for each epoch.
+
+A recording with one epoch can also be read piece by piece, so that its torques do not have to fit
+in memory.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,12 +37,11 @@ from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem
-from rigid_body_ros.recording import source
+from rigid_body_ros.recording import source, torques
 from rigid_body_ros.recording.account import Account, merged
 from rigid_body_ros.recording.selection import Reading, Topics
-from rigid_body_ros.recording.source import Messages
+from rigid_body_ros.recording.source import Messages, Source
 from rigid_body_ros.recording.text_files import is_text_file
-from rigid_body_ros.recording.torques import check_stamped, epochs, torque_log
 from rigid_body_ros.scene import load, Scene
 
 #: Two rotor momenta count as equal if their relative difference is at most this.
@@ -133,7 +138,8 @@ def read_epochs(path: str | Path, scene: Scene, reading: Reading) -> list[Logged
                         topics.columns) for name, kind in kinds]
     momentum = source.read(path, topics.wheel_momentum, messages.VECTOR3, reading.track,
                            reading.time_source) if topics.wheel_momentum else None
-    parts = aligned(path, [epochs(path, log) for log in logs], reading.time_source == 'header')
+    parts = aligned(path, [torques.epochs(path, log) for log in logs],
+                    reading.time_source == 'header')
     if momentum is not None and len(parts) > 1:
         raise InputError(f'{path}: --wheel-momentum: expected one epoch, found {len(parts)}')
     return [_logged(path, scene, reading, part, momentum) for part in parts]
@@ -299,7 +305,7 @@ def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str,
     """Return the torque log of a topic; the log is empty if there are no messages."""
     if not len(recorded):
         return TorqueLog([], [], interpolation=interpolation)
-    return torque_log(path, recorded, scene.body_frame, scene.space_frame, interpolation,
+    return torques.torque_log(path, recorded, scene.body_frame, scene.space_frame, interpolation,
                       scene.links, accounts[recorded.topic])
 
 
@@ -309,14 +315,14 @@ def _efforts(path: str | Path, recorded: Messages) -> EffortLog:
 
     The frame_ids of the commands are ignored.
     """
-    check_stamped(f'{path}: {recorded.topic}', recorded)
+    torques.check_stamped(f'{path}: {recorded.topic}', recorded)
     return EffortLog(recorded.stamps_ns, recorded.values)
 
 
 def _changes(path: str | Path, recorded: Messages, scene: Scene) -> BodyLog:
     """Return the bodies that an inertia topic describes; all have the damping of the scene."""
     check_axes(path, recorded, scene)
-    check_stamped(f'{path}: {recorded.topic}', recorded)
+    torques.check_stamped(f'{path}: {recorded.topic}', recorded)
     bodies = []
     for row, entries in enumerate(messages.inertia_entries(recorded.values)):
         try:
@@ -379,3 +385,136 @@ def _started(start: State, measured: TorqueLog) -> State:
         raise InputError(f'initial_rotor_momentum: expected {momentum.tolist()} N m s as '
                          f'measured at the start, or no value, found {stated.tolist()}')
     return replace(start, rotor_momentum=momentum)
+
+
+class Stream:
+    """
+    The torques on one topic, one piece at a time.
+
+    Parameters
+    ----------
+    pieces : iterator of Piece
+    on_rotors : bool
+        Whether these are the torques that the motors apply to the rotors.
+    interpolation : str
+        How to interpolate between samples.
+    where : str
+        The recording and the topic, for error messages.
+    account : Account, optional
+        What became of the messages; complete once the last piece has been read.
+    source : Source, optional
+        The topic that is read piece by piece.
+
+    Attributes
+    ----------
+    piece : Piece
+        The current piece.
+
+    """
+
+    def __init__(self, pieces: Iterator[torques.Piece], on_rotors: bool, interpolation: str,
+                 where: str = '', account: Account | None = None,
+                 source: Source | None = None) -> None:
+        self._pieces, self.source, self.account = pieces, source, account
+        self.on_rotors, self._interpolation, self._where = on_rotors, interpolation, where
+        self.piece = next(pieces)
+
+    @property
+    def end_ns(self) -> int | None:
+        """Return the stamp at which the next piece takes over; None if this is the last piece."""
+        return None if self.piece.stop is None else int(self.piece.times_ns[self.piece.stop])
+
+    def advance(self) -> None:
+        """
+        Go to the next piece.
+
+        Raise NotInOrderError if the next piece is in other axes, unless torques are held.
+        """
+        in_space, self.piece = self.piece.in_space[0], next(self._pieces)
+        if self._interpolation != 'hold' and (self.piece.in_space != in_space).any():
+            raise torques.NotInOrderError  # the error is raised when the whole log is read
+
+    def log(self) -> TorqueLog:
+        """
+        Return the current piece as a torque log.
+
+        Raises
+        ------
+        InputError
+            The samples mix body axes and space axes, which only the interpolation 'hold' allows.
+
+        """
+        try:
+            return TorqueLog(*self.piece[:3], self._interpolation)
+        except ValueError as error:
+            raise InputError(f'{self._where}: {error}') from error
+
+
+def whole(problem: Problem) -> list[Stream]:
+    """Return the torques of a problem as streams, each of which is a single piece."""
+    return [Stream(iter([torques.Piece(log.times_ns, log.torques, log.in_space)]),
+                   log is problem.wheels, log.interpolation) for log in problem.sources]
+
+
+@contextmanager
+def streamed(path: str | Path, scene: Scene,
+             reading: Reading) -> Iterator[tuple[State | None, list[Stream]]]:
+    """
+    Open the torques on all topics of a recording that has only one epoch.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording.
+    scene : Scene
+        The body, the names of the frames, and the initial state.
+    reading : Reading
+        What to read, and how. Its topics are those that `Topics.found_in` returns, without a rotor
+        momentum topic.
+
+    Yields
+    ------
+    start : State or None
+        The start state, if a node recorded the epoch.
+    streams : list of Stream
+        The torques of each topic.
+
+    Raises
+    ------
+    InputError
+        `first_epoch` or `torque_pieces` rejects a message, or a rotor torque is not in body axes.
+    NotInOrderError
+        The recording has to be read as a whole, because its stamps are not in order, because its
+        topics begin with different start states, or because it has no messages.
+
+    """
+    topics = reading.topics
+    with ExitStack() as stack:
+        sources = [stack.enter_context(Source(path, name, topics.kinds(name), reading.time_source,
+                                              topics.preferred, columns=topics.columns))
+                   for name in topics.wrenches]
+        starts, streams = zip(*(_begun(path, scene, reading, source) for source in sources))
+        is_empty = starts[0] is None and not any(len(stream.piece.times_ns) for stream in streams)
+        if is_empty or len({bits_of(start) for start in starts}) > 1:
+            raise torques.NotInOrderError  # any error is reported when the whole recording is read
+        yield starts[0], [*streams]
+
+
+def _begun(path: str | Path, scene: Scene, reading: Reading,
+           source: Source) -> tuple[State | None, Stream]:
+    """Return the start state and the torques of a topic."""
+    on_rotors = source.topic == reading.topics.wheel_torque
+    start, blocks = torques.first_epoch(path, iter(reading.track(source, source.count)))
+    account = Account('' if is_text_file(str(path)) else Account.advice)
+    where = f'{path}: {source.topic}'
+
+    def checked() -> Iterator[Messages]:
+        for block in blocks:
+            if on_rotors and not any(map(messages.is_epoch_marker, block.names)):
+                check_axes(path, block, scene)
+            yield block
+        account.notes += source.notes
+    pieces = torques.torque_pieces(where, checked(), scene.body_frame, scene.space_frame,
+                                   scene.links, account)
+    return start, Stream(pieces, on_rotors, reading.interpolation or scene.interpolation, where,
+                         account, source)

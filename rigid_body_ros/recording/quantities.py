@@ -209,9 +209,8 @@ def _samples(stamps_ns: NDArray[np.int64], attitude: Floats, rates: Floats, pres
 
 def of_messages(recorded: Messages, kind: MessageType) -> MeasuredSamples:
     """Return the samples in messages of a type in `KINDS`; covariances are in body axes."""
-    parts = [_part(recorded.values, *where, size, kind is messages.IMU)
-             for where, size in zip(_LAYOUTS[kind], (4, 3))]
-    (attitude, rates), present, (first, second) = zip(*parts)
+    (attitude, rates), present, (first, second) = zip(*(
+        _part(recorded.values, *where, size, kind) for where, size in zip(_LAYOUTS[kind], (4, 3))))
     samples = _samples(recorded.stamps_ns, attitude, rates, np.column_stack(present),
                        damage=recorded.damage)
     if first is not None and kind is not messages.IMU:  # in space axes
@@ -220,16 +219,17 @@ def of_messages(recorded: Messages, kind: MessageType) -> MeasuredSamples:
 
 
 def _part(values: Floats, where: slice | None, of_covariance: slice | None, size: int,
-          may_lack: bool) -> tuple[Floats, _Mask, Floats | None]:
+          kind: MessageType) -> tuple[Floats, _Mask, Floats | None]:
     """Return a quantity of messages, which of them contain it, and its covariances."""
     if where is None:
         return np.full((len(values), size), np.nan), np.full(len(values), False), None
     present = np.full(len(values), True)
     if of_covariance is None:
         return values[:, where], present, None
-    covariances = _block(values[:, of_covariance])
+    width = 3 if kind is messages.IMU else 6  # of six variables, the last three are the rotation
+    covariances = values[:, of_covariance].reshape(-1, width, width)[:, -3:, -3:]
     present &= ~(np.diagonal(covariances, axis1=1, axis2=2) >= _MEANINGLESS).any(axis=1)
-    if may_lack:
+    if kind is messages.IMU:
         present &= values[:, of_covariance.start] != -1.0
     return values[:, where], present, covariances
 
@@ -246,12 +246,6 @@ def of_table(path: str | Path, columns: Mapping[str, str] | None = None) -> Meas
     present = [is_sample(attitude, table.width) & (ATTITUDE[0] in table.names),
              is_sample(rates, table.width) & (RATES[0] in table.names)]
     return _samples(stamps_ns, attitude, rates, np.column_stack(present), notes=tuple(table.notes))
-
-
-def _block(covariances: Floats) -> Floats:
-    """Return the rotational (n, 3, 3) parts of covariances with 9 or 36 entries each."""
-    size = 3 if covariances.shape[1] == 9 else 6
-    return covariances.reshape(-1, size, size)[:, size - 3:, size - 3:]
 
 
 def _turned(covariances: Floats | None, rotation: Floats, rows: _Mask) -> Floats | None:

@@ -36,8 +36,8 @@ from rigid_body_ros.scene import Scene
 _WHEEL_TORQUE, _WHEEL_COMMAND, _INERTIA = 'wheel_torque', 'wheel_command', 'inertia'
 #: For each option that names a topic: the scene parameter that enables the topic, and the value
 #: that this parameter must have.
-_NEEDED = {'--wheel-torque': ('wheels', 'true'), '--wheel-momentum': ('wheels', 'true'),
-           '--wheel-command': ('wheel_names', 'names'), '--inertia': ('inertia_topic', 'true')}
+_NEEDED = {'wheel_torque': ('wheels', 'true'), 'wheel_momentum': ('wheels', 'true'),
+           'wheel_command': ('wheel_names', 'names'), 'inertia': ('inertia_topic', 'true')}
 #: Matches the topics on which a node logs the torques that it accepts. A number at the end of the
 #: name is the index of the torque topic whose torques are logged. A name without a number belongs
 #: to the first torque topic.
@@ -85,9 +85,9 @@ class Topics:
     def __post_init__(self) -> None:
         if self.wheel_torque and self.wheel_momentum:
             raise InputError('expected one of --wheel-torque and --wheel-momentum, found both')
-        for option, topic in self._options:
-            if topic == '':
-                raise InputError(f'{option}: expected a topic, found an empty name')
+        for name in _NEEDED:
+            if getattr(self, name) == '':
+                raise InputError(f'{_option(name)}: expected a topic, found an empty name')
         names = [*self.torques, *filter(None, [self.wheel_torque])]
         for name in names:
             if names.count(name) > 1:
@@ -97,11 +97,6 @@ class Topics:
     def given(cls, topic: str | Sequence[str] | None = None, **others: Any) -> Topics:
         """Return the topics that the caller has named: torque topics, and other attributes."""
         return cls((topic,) if isinstance(topic, str) else tuple(topic or ()), **others)
-
-    @property
-    def _options(self) -> list[tuple[str, str | None]]:
-        return [('--wheel-torque', self.wheel_torque), ('--wheel-momentum', self.wheel_momentum),
-                ('--wheel-command', self.wheel_command), ('--inertia', self.inertia)]
 
     @property
     def wheel_source(self) -> str:
@@ -157,18 +152,17 @@ class Topics:
             return topic
         if len(logs) > 1:
             raise InputError(f'expected the {name} of one node, found {listed(logs)}; choose one '
-                             f'with --{name.replace("_", "-")}')
+                             f'with {_option(name)}')
         # Read this log too, because the motion depends on everything that the node received. If
         # the torques were recorded by another node, `aligned` rejects the log.
         return logs[0] if logs else None
 
     def check(self, scene: Scene) -> None:
         """Raise InputError if the scene does not enable a given rotor, wheel or inertia topic."""
-        for option, topic in self._options:
-            parameter, expected = _NEEDED[option]
-            if topic and not (value := scene.values[parameter]):
-                raise InputError(f'{option}: expected a scene with {parameter}: {expected}, found '
-                                 f'{parameter}: {str(value).lower()}')
+        for name, (parameter, expected) in _NEEDED.items():
+            if getattr(self, name) and not (value := scene.values[parameter]):
+                raise InputError(f'{_option(name)}: expected a scene with {parameter}: {expected}'
+                                 f', found {parameter}: {str(value).lower()}')
 
     def actuators(self, scene: Scene) -> tuple[Actuator | None, ...] | None:
         """
@@ -247,6 +241,11 @@ class Reading:
                     for sensor in read_all(path, self.measured, options)]
         return read_all(path, self.measured, options._replace(
             body_frame=scene.body_frame, space_frame=scene.space_frame, links=scene.links))
+
+
+def _option(name: str) -> str:
+    """Return the option of the commands that sets an attribute of `Topics`."""
+    return f'--{name.replace("_", "-")}'
 
 
 def absolute(topic: str) -> str:

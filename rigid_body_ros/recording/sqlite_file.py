@@ -27,8 +27,7 @@ import numpy as np
 from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
-from rigid_body_ros.recording.definitions import LONGEST
-from rigid_body_ros.recording.file import File
+from rigid_body_ros.recording.file import File, LONGEST
 from rigid_body_ros.recording.unpack import copy_file, temporary
 from rigid_body_ros.runtime.files import real_path
 from rigid_body_ros.runtime.limits import open_file

@@ -165,7 +165,10 @@ class Writer:
         The log time and publish time of a message are `delay_ns` later than its stamp.
         """
         self._flush()
-        fields = [(str(k), self._fields(column)) for k, column in enumerate(columns)]
+        messages = [self._kinds[column.topic].layout(column.frame_id, column.child_frame_id)
+                    for column in columns]
+        fields = [(str(k), np.dtype([('head', _HEAD_FIELDS), ('message', message)]))
+                  for k, message in enumerate(messages)]
         layout = np.dtype(fields)
         step = max(1, _CHUNK // layout.itemsize)
         for first in range(0, len(stamps_ns), step):
@@ -180,11 +183,6 @@ class Writer:
                 indexed.append(Indexed(self._channels[column.topic], logged_ns, offsets))
                 position += field.itemsize
             self._container.add_chunk(rows.tobytes(), indexed)
-
-    def _fields(self, column: Column) -> np.dtype[np.void]:
-        kind = self._kinds[column.topic]
-        return np.dtype([('head', _HEAD_FIELDS),
-                         ('message', kind.layout(column.frame_id, column.child_frame_id))])
 
     def _fill(self, rows: NDArray[np.void], stamps_ns: NDArray[np.int64],
               times_ns: NDArray[np.int64], column: Column, values: Floats) -> None:

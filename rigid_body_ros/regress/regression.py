@@ -99,9 +99,9 @@ class Session:
     timeout: float
     wheels: tuple[str, ...] = ()
 
-    def record(self, path: str | Path, span: Span, may_end: bool = False) -> None:
+    def record(self, path: str | Path, span: Span, may_end: bool = False) -> Loop:
         """
-        Run the closed loop once, and write the loop to a recording.
+        Run the closed loop once, write the loop to a recording, and read it.
 
         Parameters
         ----------
@@ -129,6 +129,7 @@ class Session:
                 raise
             controller.end()  # without the node, the controller might wait for messages forever
             node.write(path, span.last_ns)
+        return read(path, self.wheels)
 
     def _run(self, node: NodeProcess, controller: ControllerProcess, span: Span,
              may_end: bool) -> None:
@@ -149,8 +150,10 @@ class Session:
             raise InputError(f'{self._name}: expected the loop to end within --timeout '
                              f'{self.timeout:g} s, found that {_got(node.status)}')
         if ending or not (may_end and node.status.elapsed_ns):
+            how = f'was ended by {signal.Signals(-ending).name}' if ending < 0 else \
+                f'ended with exit status {ending}'
             raise InputError(f'{self._name}: expected a controller that runs to the end of the '
-                             f'loop, found that it {_described(ending)}; {_got(node.status)}')
+                             f'loop, found that it {how}; {_got(node.status)}')
 
     @property
     def _name(self) -> str:
@@ -251,10 +254,10 @@ def compare(session: Session, path: str | Path, folder: Path,
     """
     reference = read(path, session.wheels)
     span, first = Span.of(reference), folder / 'first.mcap'
-    loop = _recorded(session, first, span)
+    loop = session.record(first, span)
     changes, again = differences(reference, loop), None
     if not changes.within(tolerance):
-        again = differences(loop, _recorded(session, folder / 'second.mcap', span))
+        again = differences(loop, session.record(folder / 'second.mcap', span))
     return Regression(reference, loop, first, changes, again, tolerance)
 
 
@@ -268,15 +271,10 @@ def update(session: Session, span: Span, folder: Path,
     controller ends early without an error.
     """
     first = folder / 'first.mcap'
-    reference = _recorded(session, first, span, may_end=True)
-    loop = _recorded(session, folder / 'second.mcap', Span.of(reference))
+    reference = session.record(first, span, may_end=True)
+    loop = session.record(folder / 'second.mcap', Span.of(reference))
     changes = differences(reference, loop)
     return Regression(reference, loop, first, changes, changes, tolerance)
-
-
-def _recorded(session: Session, path: Path, span: Span, may_end: bool = False) -> Loop:
-    session.record(path, span, may_end)
-    return read(path, session.wheels)
 
 
 def _got(status: Status) -> str:
@@ -285,9 +283,3 @@ def _got(status: Status) -> str:
         return f'the node has accepted no torque{missing}'
     seconds = min(status.elapsed_ns.values()) * 1e-9
     return f'its torques reach {seconds:.9g} s of the loop'
-
-
-def _described(ending: int) -> str:
-    if ending < 0:
-        return f'was ended by {signal.Signals(-ending).name}'
-    return f'ended with exit status {ending}'

@@ -32,8 +32,9 @@ from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation import Integration, Problem, Trajectory
-from rigid_body_ros.recording import Logged, NotInOrderError, Reading, Stream
+from rigid_body_ros.recording import Logged, Reading
 from rigid_body_ros.recording.gaps import announce, Gaps
+from rigid_body_ros.recording.problem import Stream
 from rigid_body_ros.scene import Scene
 
 #: The names by which you request additional output topics of a replay.
@@ -141,7 +142,7 @@ class Batches:
         #: The stamps of the inertia messages and of the commands to named wheels, if these
         #: messages are read.
         self._others = [log.times_ns for log in (problem.changes, problem.efforts) if log]
-        self._where, self._topics, self._request = f'{request.path}: {topics}', topics, request
+        self._where, self._request = f'{request.path}: {topics}', request
         self.streams, self.start = streams, start
         self._delay_ns = request.sensor_delay_ns
         stamps = [int(stream.piece.times_ns[0]) for stream in streams
@@ -151,8 +152,6 @@ class Batches:
         self.first_ns = min(stamps, default=start.time_ns)
         #: The motion computed so far; None before the first piece.
         self._motion: Integration[Problem] | None = None
-        #: For each stream, whether the torques read so far are in space axes: False, True or both.
-        self._frames: list[set[bool]] = [set() for _ in streams]
         self._outputs = _OutputTimes(request, start.time_ns, is_epoch)
         until = request.reading.until
         self._end_ns = NEVER_NS if until is None else \
@@ -178,10 +177,11 @@ class Batches:
 
     def _advance(self, until_ns: int | None) -> Iterator[Batch]:
         began = time.perf_counter()
-        self._check_frames()
         begin_ns = self._outputs.done_ns
         try:
-            logs = self._logs(begin_ns, until_ns)
+            logs = [stream.log() for stream in self.streams]
+            if until_ns is not None and len(logs) > 1:
+                logs = [log.between(begin_ns, until_ns) for log in logs]
             stamps_ns = stamps_of(logs)
             for others_ns in self._others:
                 stamps_ns = np.union1d(stamps_ns, others_ns)
@@ -210,32 +210,6 @@ class Batches:
             raise
         except ValueError as error:
             raise InputError(f'{self._where}: {error}') from error
-
-    def _check_frames(self) -> None:
-        """If a log that is interpolated mixes body and space axes, raise NotInOrderError."""
-        for stream, frames in zip(self.streams, self._frames):
-            frames |= set(np.unique(stream.piece.in_space).tolist())
-        if any(len(frames) > 1 for frames in self._frames) and self._motion and (
-                self._request.interpolation != 'hold'):
-            raise NotInOrderError  # the error is raised when the whole log is read
-
-    def _logs(self, begin_ns: int, until_ns: int | None) -> list[TorqueLog]:
-        """
-        Return the torques from each stream for the next part of the motion.
-
-        If there are several streams and `until_ns` is not None, only the torques between
-        `begin_ns` and `until_ns` are returned.
-        """
-        logs = []
-        for stream in self.streams:
-            try:
-                logs.append(stream.log())
-            except ValueError as error:
-                topic = stream.source.topic if stream.source else self._topics
-                raise InputError(f'{self._request.path}: {topic}: {error}') from error
-        if until_ns is None or len(logs) == 1:
-            return logs
-        return [log.between(begin_ns, until_ns) for log in logs]
 
     def _continued(self, motion: Integration[Problem] | None,
                    logs: Sequence[TorqueLog]) -> Integration[Problem]:

@@ -29,7 +29,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column
+from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column
 from rigid_body_ros.replay import markers
 from rigid_body_ros.replay.batches import Batch, IMU, INPUT, MARKERS, Request, TF
 from rigid_body_ros.report.text import euler_names

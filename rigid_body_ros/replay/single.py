@@ -35,8 +35,9 @@ from rigid_body_ros import recording
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import joint_commands, VECTOR3
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.recording import NotInOrderError, Reading, Source, Topics, whole
+from rigid_body_ros.recording import NotInOrderError, Reading, Source, Topics
 from rigid_body_ros.recording.account import merged
+from rigid_body_ros.recording.problem import started, streamed, whole
 from rigid_body_ros.replay import outputs
 from rigid_body_ros.replay.batches import Batch, Batches, INPUT, Request
 from rigid_body_ros.replay.check import drift, last_digits
@@ -175,10 +176,10 @@ def _pieces(request: Request, stack: ExitStack) -> Sequence[Epoch]:
     """Return the single epoch of a recording whose torques are read piece by piece."""
     path, scene = request.path, request.scene
     reading = replace(request.reading, track=progress('replaying', size=len))
-    begin, streams = stack.enter_context(recording.streamed(path, scene, reading))
+    begin, streams = stack.enter_context(streamed(path, scene, reading))
     first_ns = min([int(stream.piece.times_ns[0]) for stream in streams
                     if len(stream.piece.times_ns)], default=0)
-    start = recording.started(path, scene, begin, first_ns, reading.start)
+    start = started(path, scene, begin, first_ns, reading.start)
     names = ', '.join(stream.source.topic for stream in streams if stream.source)
     return [(Replay(scene, request.interpolation, names, reading.topics.wheel_source),
              Batches(request, names, streams, scene.problem(start), begin is not None))]
