@@ -115,10 +115,17 @@ class Container:
         """Write the end of the file: index, statistics and footer."""
         self._finish_chunk()
         self._write(_record(records.DataEnd(data_section_crc=0)))
+        first_ns, last_ns = self.span_ns
+        statistics = records.Statistics(
+            attachment_count=0, channel_count=len(self.channels),
+            channel_message_counts=self.counts, chunk_count=len(self.chunks),
+            message_count=sum(self.counts.values()), metadata_count=len(self._metadata),
+            message_start_time=first_ns, message_end_time=last_ns,
+            schema_count=len(self._schemas))
         start, offsets = self._position, []
         for opcode, group in (
                 (Opcode.SCHEMA, self._schemas.values()), (Opcode.CHANNEL, self.channels),
-                (Opcode.STATISTICS, [self._statistics()]), (Opcode.CHUNK_INDEX, self.chunks),
+                (Opcode.STATISTICS, [statistics]), (Opcode.CHUNK_INDEX, self.chunks),
                 (Opcode.METADATA_INDEX, self._metadata)):
             group_start = self._position
             for record in group:
@@ -167,15 +174,6 @@ class Container:
         """Return the earliest and latest message times, ns; (0, 0) if there are no messages."""
         return (min((chunk.message_start_time for chunk in self.chunks), default=0),
                 max((chunk.message_end_time for chunk in self.chunks), default=0))
-
-    def _statistics(self) -> records.Statistics:
-        first_ns, last_ns = self.span_ns
-        return records.Statistics(
-            attachment_count=0, channel_count=len(self.channels),
-            channel_message_counts=self.counts, chunk_count=len(self.chunks),
-            message_count=sum(self.counts.values()), metadata_count=len(self._metadata),
-            message_start_time=first_ns, message_end_time=last_ns,
-            schema_count=len(self._schemas))
 
     def _write(self, data: bytes) -> None:
         self._stream.write(data)

@@ -77,9 +77,10 @@ class Gaps:
         """Add a piece of the log. The piece may overlap the previous one."""
         times = np.clip(log.times_ns, *self._span)
         first = int(np.searchsorted(times, self._last_ns))
-        times, acts = times[first:], _acts(log)[first:]
+        times, acts = times[first:], np.any(log.torques[first:] != 0.0, axis=1)
         if times.size < 2:
             return
+        acts = acts[:-1] if log.interpolation == 'hold' else acts[:-1] | acts[1:]
         lengths = np.diff(times)
         classes = (np.log2(lengths[lengths > 0]) * _CLASSES).astype(np.int64)
         self._counts += np.bincount(classes, minlength=len(self._counts))
@@ -162,7 +163,11 @@ def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
         return float(most.max()) * _STEP
     edges = np.append(np.clip(log.times_ns, *span_ns), span_ns[1])
     seconds = np.diff(edges) * 1e-9
-    steps = _steps(_sizes(log), seconds, speed, scene)
+    with np.errstate(over='ignore'):
+        sizes = np.linalg.norm(log.torques, axis=1)
+    if log.interpolation != 'hold':  # the larger of the torques at both ends
+        sizes = np.maximum(sizes, np.append(sizes[1:], 0.0))
+    steps = _steps(sizes, seconds, speed, scene)
     if steps.max(initial=0.0) > _MOST_STEPS:
         row = int(np.argmax(steps))
         torque = log.torques[row].tolist()
@@ -174,15 +179,8 @@ def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
     return float(steps.sum()) * _STEP
 
 
-def _sizes(log: TorqueLog) -> Floats:
-    """Return the largest magnitude of the torque in each interval between two samples, N m."""
-    with np.errstate(over='ignore'):
-        sizes = np.linalg.norm(log.torques, axis=1)
-    return sizes if log.interpolation == 'hold' else np.maximum(sizes, np.append(sizes[1:], 0.0))
-
-
 def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats:
-    """Estimate how many steps the solver takes while each torque acts, at one step per radian."""
+    """Estimate how many steps the solver takes while each torque, N m, acts: one per radian."""
     options, body = scene.options, scene.body
     is_closed = options.record.closed_form_beyond < np.inf and not (
         scene.has_rotors or body.is_damped or scene.fields)
@@ -204,12 +202,6 @@ def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats
     if options.max_step is not None:
         steps = steps + stepped / options.max_step
     return np.where(sizes > 0.0, steps, 0.0) if is_closed else steps
-
-
-def _acts(log: TorqueLog) -> NDArray[np.bool_]:
-    """For each interval between two samples, return whether a torque acts in that interval."""
-    acts = np.any(log.torques != 0.0, axis=1)
-    return acts[:-1] if log.interpolation == 'hold' else acts[:-1] | acts[1:]
 
 
 def _longer(longest: Gap, times: NDArray[np.int64], lengths: NDArray[np.int64]) -> Gap:

@@ -154,7 +154,8 @@ class Table:
     def __init__(self, path: str | Path, groups: Sequence[tuple[str, ...]],
                  chosen: Mapping[str, str] | None = None) -> None:
         self._path, self._groups = path, groups
-        self._chosen = chosen if chosen and _has_any(chosen, groups) else None
+        wanted = {name for group in groups for name in group}
+        self._chosen = chosen if chosen and wanted.intersection(map(_quantity, chosen)) else None
         self._is_csv = Path(path).suffix.lower() in _CSV
         self.width, self._columns = _TORQUES if self._is_csv else _TRAJECTORY
         self._rates: list[TableColumn] = []
@@ -412,11 +413,6 @@ def _columns(heading: Sequence[str], groups: Sequence[tuple[str, ...]], context:
             raise InputError(f'no column for {name}; {accepted}, found '
                              f'{quoted(",".join(heading))}; choose with --columns')
     return columns
-
-
-def _has_any(chosen: Mapping[str, str], groups: Sequence[tuple[str, ...]]) -> bool:
-    """Return whether any of `groups` is chosen; raise InputError for an unknown quantity."""
-    return not {*map(_quantity, chosen)}.isdisjoint([name for group in groups for name in group])
 
 
 def _quantity(text: str) -> str:

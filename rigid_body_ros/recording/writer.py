@@ -134,9 +134,16 @@ class Writer:
         """Append a metadata record."""
         self._container.add_metadata(name, content)
 
-    def write(self, topic: str, time_ns: int, data: bytes) -> None:
-        """Append a CDR message to a topic; `time_ns` is both its log time and its publish time."""
-        self._append(topic, time_ns, time_ns, data)
+    def write(self, topic: str, log_ns: int, data: bytes, publish_ns: int | None = None) -> None:
+        """Append a CDR message to a topic; by default, it is published when it is logged."""
+        channel = self._channels[topic]
+        self._waiting.append((channel, log_ns, len(self._records)))
+        self._records += _HEAD.pack(
+            Opcode.MESSAGE, _HEAD.size - 9 + len(data), channel, self._sequence[topic] % 2 ** 32,
+            log_ns, log_ns if publish_ns is None else publish_ns) + data
+        self._sequence[topic] += 1
+        if len(self._records) > _CHUNK:
+            self._flush()
 
     def copy(self, channel: Channel, schema: Schema | None, raw: Raw) -> None:
         """Append messages that were read from another file, with the same channel and schema."""
@@ -145,17 +152,9 @@ class Writer:
             self._channels[topic] = self._container.add_channel(
                 topic, schema, channel.metadata, channel.message_encoding)
             self._sequence[topic] = 0
-        for row, times_ns in enumerate(zip(raw.log_ns.tolist(), raw.publish_ns.tolist())):
-            self._append(topic, *times_ns, raw.message(row))
-
-    def _append(self, topic: str, log_ns: int, publish_ns: int, data: bytes) -> None:
-        channel = self._channels[topic]
-        self._waiting.append((channel, log_ns, len(self._records)))
-        self._records += _HEAD.pack(Opcode.MESSAGE, _HEAD.size - 9 + len(data), channel,
-                                    self._sequence[topic] % 2 ** 32, log_ns, publish_ns) + data
-        self._sequence[topic] += 1
-        if len(self._records) > _CHUNK:
-            self._flush()
+        times_ns = zip(raw.log_ns.tolist(), raw.publish_ns.tolist())
+        for row, (log_ns, publish_ns) in enumerate(times_ns):
+            self.write(topic, log_ns, raw.message(row), publish_ns)
 
     def write_columns(self, stamps_ns: NDArray[np.int64], columns: Sequence[Column],
                       delay_ns: int = 0) -> None:

@@ -154,7 +154,8 @@ def drift(problem: Problem, trajectory: Trajectory) -> Check:
         return Check(
             f'relative drift of the space angular momentum {lost / size if size else lost:.1e}',
             seconds, seconds)
-    if not (is_damped or problem.actuators or has_friction) and all(map(_is_in_space, acting)):
+    in_space = all(log.in_space[log.torques.any(axis=1)].all() for log in acting)
+    if in_space and not (is_damped or problem.actuators or has_friction):
         return Check('space angular momentum and the integral of the torque differ by '
                      f'{_momentum_balance(problem, trajectory):.1e} of the largest '
                      'momentum', seconds, seconds)
@@ -224,10 +225,6 @@ def _norm(vectors: Floats) -> float:
     return float(np.linalg.norm(vectors, axis=1).max())
 
 
-def _is_in_space(log: TorqueLog) -> bool:
-    return bool(log.in_space[log.torques.any(axis=1)].all())
-
-
 def energy_balance(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:
     """
     Compare the work done on the body with the change of its kinetic energy.
@@ -284,7 +281,10 @@ def _interval_edges(problem: Problem, trajectory: Trajectory) -> NDArray[np.int6
     lengths = np.diff(edges)
     least, _, largest = trajectory.body.principal_moments
     wheels = problem.named_wheels
-    speed = _norm(trajectory.angular_velocity) + _linear_rate(trajectory) + (
+    # Rotors and damping change the angular velocity at this rate, 1/s, at most.
+    linear_rate = (_norm(trajectory.rotor_momentum)
+                   + float(np.linalg.norm(trajectory.body.damping))) / float(least)
+    speed = _norm(trajectory.angular_velocity) + linear_rate + (
         wheels.decay_rate(wheels.carrier(problem.body)) if wheels else 0.0) + sum(
         float(field.speed(least, largest)) for field in problem.fields) + max(
             [1.0 / constant for constant in time_constants(problem.actuators)], default=0.0)
@@ -296,10 +296,3 @@ def _interval_edges(problem: Problem, trajectory: Trajectory) -> NDArray[np.int6
     offsets = np.round(number / np.repeat(counts, counts) * np.repeat(lengths, counts))
     inner = np.repeat(edges[:len(counts)], counts) + offsets.astype(np.int64)
     return np.append(inner, edges[len(counts)])[:_MOST_INTERVALS + 1]
-
-
-def _linear_rate(trajectory: Trajectory) -> float:
-    """Return an upper bound, 1/s, on how fast rotors and damping change the angular velocity."""
-    body = trajectory.body
-    return (_norm(trajectory.rotor_momentum) + float(np.linalg.norm(body.damping))) \
-        / float(body.principal_moments[0])

@@ -143,7 +143,8 @@ class Replay:
             ('body', self.scene.body.symmetry),
             *described(self.scene.values),
             *([('rotors', self.wheel_source)] if self.scene.has_rotors else []),
-            *(('solver', text) for text in _solvers(self)),
+            *(('solver', name if len(self.solvers) == 1 else f'{span_ns * 1e-9:.9g} s by {name}')
+              for name, span_ns in self.solvers.items()),
             ('final state', f'{_span(self):.9g} s after the start'),
             ('  attitude', f'{numbers(last.attitude, digits)}  (x y z w)'),
             (f'  {sequence}', f'{numbers(angles, digits)}  rad'),
@@ -173,9 +174,3 @@ def _earlier(result: Replay, digits: int) -> list[tuple[str, object]]:
 
 def _span(result: Replay) -> float:
     return (result.last.time_ns - result.start.time_ns) * 1e-9
-
-
-def _solvers(result: Replay) -> list[str]:
-    if len(result.solvers) == 1:
-        return [*result.solvers]
-    return [f'{span_ns * 1e-9:.9g} s by {name}' for name, span_ns in result.solvers.items()]
