@@ -34,7 +34,7 @@ from rigid_body_ros.recording import quantities, source
 from rigid_body_ros.recording.account import SLASH
 from rigid_body_ros.recording.measured import Measured
 from rigid_body_ros.recording.quantities import KINDS, MeasuredSamples, QUANTITIES
-from rigid_body_ros.recording.source import joined, Messages, Source, with_types
+from rigid_body_ros.recording.source import Messages, Source, with_types
 from rigid_body_ros.recording.text_files import is_text_file
 from rigid_body_ros.runtime.terminal import no_progress, Track
 
@@ -240,8 +240,7 @@ def _messages(path: str | Path, topic: str,
     if kind is messages.TRANSFORM:
         frames = frames or (options.space_frame, options.body_frame)
     with Source(path, topic, (kind,), time_source, frames=frames) as opened:
-        blocks = list(options.track(opened, opened.count))
-        recorded = joined(topic, kind, blocks, opened.damage)
+        recorded = opened.read(options.track)
     if not len(recorded) and frames:
         if kind is messages.TRANSFORM:
             return _chained(path, topic, frames, time_source), kind
@@ -372,7 +371,7 @@ def _chained(path: str | Path, topic: str, ends: _Pair, time_source: str) -> Mes
         recorded = pair if pair in homes else pair[::-1]
         with Source(path, homes[recorded], [messages.TRANSFORM], time_source,
                     frames=recorded) as opened:
-            link = joined(topic, messages.TRANSFORM, [*opened], opened.damage)
+            link = opened.read()
         rotations = so3.normalize(link.values[:, _ROTATION])
         link.values[:, _ROTATION] = rotations if pair in homes else so3.conjugate(rotations)
         links.append(replace(link, stamps_ns=link.stamps_ns[:0], values=link.values[-1:])

@@ -444,10 +444,8 @@ class Stream:
             The samples mix body axes and space axes, which only the interpolation 'hold' allows.
 
         """
-        try:
+        with located(self._where):
             return TorqueLog(*self.piece[:3], self._interpolation)
-        except ValueError as error:
-            raise InputError(f'{self._where}: {error}') from error
 
 
 def whole(problem: Problem) -> list[Stream]:

@@ -195,6 +195,12 @@ class Source:
         """Return what was assumed about the messages; complete once all have been read."""
         return [note for file in self._files for note in file.notes]
 
+    def read(self, track: Track = no_progress) -> Messages:
+        """Read all messages; `track` wraps the iteration over blocks, to show progress."""
+        blocks = [*track(self, self.count)]
+        return replace(joined(self.topic, self.kind, blocks, self.damage),
+                       notes=tuple(self.notes))
+
     def metadata(self, name: str) -> dict[str, str]:
         """Return the metadata record `name`, or {} if there is none."""
         return {key: value for file in self._files for key, value in file.metadata(name).items()}
@@ -313,9 +319,7 @@ def read(path: str | Path, topic: str | None = None,
     """
     kinds = torques(topic) if kind is None else (kind,) if isinstance(kind, MessageType) else kind
     with Source(path, topic, kinds, time_source, preferred, columns=columns) as source:
-        blocks = list(track(source, source.count))
-        return replace(joined(source.topic, source.kind, blocks, source.damage),
-                       notes=tuple(source.notes))
+        return source.read(track)
 
 
 def torques(topic: str | None) -> Sequence[MessageType]:

@@ -387,17 +387,17 @@ def _columns_of(heading: Sequence[str], groups: Sequence[tuple[str, ...]], stem:
 
     """
     try:
-        return _columns(heading, groups, '', chosen)
+        return _columns_in(heading, groups, '', chosen)
     except InputError:
         contexts = [name for name, word in _CALLED.items() if re.search(word, stem)]
         with suppress(InputError):
             if len(contexts) == 1:
-                return _columns(heading, groups, contexts[0], chosen)
+                return _columns_in(heading, groups, contexts[0], chosen)
         raise
 
 
-def _columns(heading: Sequence[str], groups: Sequence[tuple[str, ...]], context: str,
-             chosen: Mapping[str, str] | None) -> dict[str, TableColumn]:
+def _columns_in(heading: Sequence[str], groups: Sequence[tuple[str, ...]], context: str,
+                chosen: Mapping[str, str] | None) -> dict[str, TableColumn]:
     columns: dict[str, TableColumn] = {}
     accepted = _OF_TORQUE if TORQUE in groups else _OF_MOTION
     for position, text in _chosen(heading, chosen) if chosen else enumerate(heading):

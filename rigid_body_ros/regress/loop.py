@@ -129,8 +129,7 @@ def read(path: str | Path, wheels: tuple[str, ...] = ()) -> Loop:
     log = committed(path)
     node = log.rpartition('/')[0]
     with recording.Source(path, log, [messages.ODOMETRY]) as source:
-        states = recording.joined(source.topic, source.kind, list(source), source.damage)
-        made_by = source.metadata(NAME)
+        states, made_by = source.read(), source.metadata(NAME)
     torques, start = {}, None
     for kind in (messages.WRENCH, messages.INERTIA, messages.joint_commands(wheels)):
         for topic in recording.topics(path, [kind]):

@@ -152,8 +152,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
     committed = f'{log.rpartition("/")[0]}/committed' if log else ''
     until_ns = messages.LAST_NS if until is None else duration_ns(until, 'until')
     with Source(motion_path, motion_topic, _KINDS, preferred=committed) as source:
-        recorded = recording.joined(source.topic, source.kind, list(source), source.damage)
-        made_by = source.metadata(NAME)
+        recorded, made_by = source.read(), source.metadata(NAME)
     is_state = source.kind is messages.ODOMETRY
     values = np.hstack([recorded.values[:, messages.ORIENTATION],
                         recorded.values[:, messages.ANGULAR_VELOCITY]]) \
