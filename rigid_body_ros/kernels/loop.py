@@ -267,8 +267,7 @@ def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
                  | Annotated[Rows, 'friction'],
                  constants: Annotated[Floats, f'{body_layout.SIZE}'],
                  methods: Annotated[NDArray[Any], '1', METHOD],
-                 latest: Annotated[Floats, f'{tangents.SIZE}g L', WRITTEN],
-                 derivatives: tangents.Derivatives,
+                 latest: Annotated[Floats, f'{tangents.SIZE}g L', WRITTEN], seeds: tangents.Seeds,
                  work: Annotated[Floats, f'{tangents.OF_VECTOR}v+{tangents.WORKSPACE} L',
                                  WRITTEN]) -> int:
     """
@@ -283,7 +282,7 @@ def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
         See `run`.
     requested : RequestedTangents
         The requested times and the results.
-    latest, derivatives, work
+    latest, seeds, work
         See `tangents.Tangents`. The kernel updates `latest`.
 
     Returns
@@ -307,8 +306,7 @@ def run_tangents(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN],
         turning = not now.is_zero and rows.in_space[row]
         degree = rows.torques.shape[1] // 2
         drive = intervals.drive(now, rows.torques, row, degree, turning, body, loads)
-        following = tangents.Tangents(latest, derivatives, work, stiffness, len(rows.times_ns),
-                                      row)
+        following = tangents.Tangents(latest, seeds, work, stiffness, len(rows.times_ns), row)
         reached = stepping.advance(grid, now_ns, time_ns, drive, body, method,
                                    Series(table, following), budget, loads)
         budget = reached.budget

@@ -104,7 +104,7 @@ class Forcing(NamedTuple):
     links: Annotated[Floats, 'v 3']
 
 
-class Derivatives(NamedTuple):
+class Seeds(NamedTuple):
     """The derivatives of constants and of torques, in groups of as many as there are lanes."""
 
     #: float64 (CONSTANTS g, LANES): the derivatives of constants, for each of g groups.
@@ -119,7 +119,7 @@ class Tangents(NamedTuple):
 
     #: float64 (SIZE g, LANES): the tangents at the latest time, for each of g groups.
     latest: Floats
-    derivatives: Derivatives
+    seeds: Seeds
     #: float64 (WORKSPACE + OF_VECTOR v, LANES) and float64 (STIFFNESS,)
     work: Floats
     stiffness: Floats
@@ -199,7 +199,7 @@ def follow(tangents: Tangents | None, state: KernelState, step: SeriesStep,
         for k in range(step.order):
             terms = tangents.stiffness[_STIFFNESS * k:_STIFFNESS * (k + 1)]
             _expand_stiffness(terms, step.table, k, coefficients, drive, loads)
-    forcing, groups = tangents.derivatives.forcing, len(tangents.derivatives.have_constants)
+    forcing, groups = tangents.seeds.forcing, len(tangents.seeds.have_constants)
     size = 3 * len(forcing.links) * tangents.rows
     for i in range(groups):
         end = len(forcing.vectors) - size * (groups - i - 1)
@@ -213,8 +213,8 @@ def follow(tangents: Tangents | None, state: KernelState, step: SeriesStep,
 @inlined
 def enter(tangents: Tangents, row: int, state: KernelState, coefficients: Coefficients) -> None:
     """Add the impulses of a row, which begins at the given state."""
-    impulses = tangents.derivatives.forcing.impulses
-    groups = len(tangents.derivatives.have_constants)
+    impulses = tangents.seeds.forcing.impulses
+    groups = len(tangents.seeds.have_constants)
     size = 6 * tangents.rows
     for i in range(groups):
         end = len(impulses) - size * (groups - i - 1)
@@ -239,7 +239,7 @@ def _to_body(state: KernelState, vector: Vector) -> Vector:
 @internal
 def _begin_forcing(vectors: Floats, tangents: Tangents, since: float, state: KernelState) -> None:
     # Store the vectors of the row in force at the beginning of a step, in body axes.
-    links = tangents.derivatives.forcing.links
+    links = tangents.seeds.forcing.links
     start = 3 * len(links) * tangents.row
     for j in range(len(links)):
         total, factor, last = _load(vectors, start + 3 * j), 1.0, j
@@ -258,10 +258,10 @@ def _begin_forcing(vectors: Floats, tangents: Tangents, since: float, state: Ker
 def _extend(tangents: Tangents, group: int, has_forcing: bool, is_stiff: bool, step: SeriesStep,
             coefficients: Coefficients, loads: taylor.SeriesLoads | None) -> None:
     # Advance the tangents of a group.
-    work, derivatives = tangents.work, tangents.derivatives
+    work, seeds = tangents.work, tangents.seeds
     table, order, seconds, _ = step
     latest = tangents.latest[SIZE * group:SIZE * group + SIZE]
-    constants = derivatives.constants[CONSTANTS * group:CONSTANTS * group + CONSTANTS]
+    constants = seeds.constants[CONSTANTS * group:CONSTANTS * group + CONSTANTS]
     for k in range(3):
         lanes.store(work, RATE + k, seconds * lanes.load(latest, RATE + k))
         lanes.store(work, ROTATION + k, lanes.load(latest, ROTATION + k))
@@ -270,7 +270,7 @@ def _extend(tangents: Tangents, group: int, has_forcing: bool, is_stiff: bool, s
         torque = of(lanes.zero(mixed[0]), 0.0, 0.0)
         if has_forcing:
             torque = scale(seconds * seconds, _expand_forcing(tangents, table, k, seconds))
-        if derivatives.have_constants[group]:
+        if seeds.have_constants[group]:
             torque = add(torque, _of_constants(constants, work, table, k, seconds))
             torque = add(torque, _of_fields(constants, tangents, k, seconds, loads))
         rate = add(gyroscopic_acceleration(coefficients, (mixed, squares)),
@@ -325,7 +325,7 @@ def _products(work: Floats, table: Floats, k: int,
 @internal
 def _expand_forcing(tangents: Tangents, table: Floats, k: int, seconds: float) -> Vector:
     # Return the order-k term of dtau, and store the next terms of its vectors.
-    work, links = tangents.work, tangents.derivatives.forcing.links
+    work, links = tangents.work, tangents.seeds.forcing.links
     size = 3 * len(links)
     total = of(lanes.zero(lanes.load(work, 0)), 0.0, 0.0)
     for j in range(len(links)):

@@ -234,7 +234,7 @@ class _Tangents:
             while result := kernels.run_tangents(
                     progress, tangents.RequestedTangents(times_ns, requested, states),
                     _packed(rows), motion._carrier._constants, motion.problem.options.method,
-                    self._latest, tangents.Derivatives(constants, has_constants, acting), work):
+                    self._latest, tangents.Seeds(constants, has_constants, acting), work):
                 if result == layout.TOO_FAST:
                     raise motion.problem.options.too_fast(int(progress['grid_ns'][0]))
                 progress['budget'] = layout.BUDGET
