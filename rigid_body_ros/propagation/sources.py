@@ -211,7 +211,7 @@ def _allocated(times_ns: NDArray[np.int64], degree: int) -> Sums:
 def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeout_ns: int,
             marks_ns: NDArray[np.int64]) -> Sums:
     """Return the sum of arbitrary sources, the last of which is the torque on the rotors."""
-    pieces = [_pieces(log) for log in sources]
+    pieces = [log.polynomials(0, len(log)) for log in sources]
     degree = max(piece.shape[1] // 2 for piece in pieces)
     samples = Samples(np.concatenate([_padded(piece, degree) for piece in pieces]),
                       np.concatenate([log.times_ns for log in sources]),
@@ -222,11 +222,6 @@ def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeo
     count = kernels.sum_logs(samples, samples.offsets[:-1] - 1, timeout_ns, start_ns, marks_ns,
                              momentum, sums)
     return Sums._make(part[:count] for part in sums)
-
-
-def _pieces(log: TorqueLog) -> Floats:
-    """Return the polynomials of a log, shape (n, 2 degree + 1, 3), N m."""
-    return log.polynomials(0, len(log))
 
 
 def _padded(coefficients: Floats, degree: int) -> Floats:
