@@ -76,15 +76,10 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
     """
     others = [name for name in fit.estimates if _group(name) in QUANTITIES
               and _group(name) not in ('inertia', 'damping', WEIGHT)]
-    return '\n'.join([*(f'# {line}' for line in _comments(fit, others)),
-                      text_of(scene, _changed(fit) | _plausible(scene, fit))])
-
-
-def _plausible(scene: Scene, fit: Identification) -> dict[str, float]:
-    speed = math.hypot(*fit.starts[0].angular_velocity)
-    is_fitted = 'initial_angular_velocity.x' in fit.estimates
-    return {'plausible_speed': speed} if is_fitted and speed > scene.values['plausible_speed'] \
-        else {}
+    values, speed = _changed(fit), math.hypot(*fit.starts[0].angular_velocity)
+    if 'initial_angular_velocity.x' in fit.estimates and speed > scene.values['plausible_speed']:
+        values['plausible_speed'] = speed
+    return '\n'.join([*(f'# {line}' for line in _comments(fit, others)), text_of(scene, values)])
 
 
 def fitted_urdf(scene: Scene, fit: Identification) -> str:

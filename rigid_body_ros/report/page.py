@@ -63,7 +63,8 @@ def html(report: Report) -> str:
     data = {'panels': [panel.as_data() for panel in report.panels], 'body': report.body}
     headline = report.headline[:1].upper() + report.headline[1:]
     return Template((_WEB / 'page.html').read_text(encoding='utf-8')).substitute(
-        title=escape(report.title), headline=shown(headline), layout=_layout(report),
+        title=escape(report.title), headline=shown(headline),
+        layout='moving' if report.body else 'charted' if report.panels else 'listed',
         style=style, style_hash=_hash(style),
         script_hashes=' '.join(map(_hash, (charts, body))), charts=charts, body=body,
         warnings=''.join(f'<p class="warning">{shown(text)}</p>' for text in report.warnings),
@@ -71,11 +72,6 @@ def html(report: Report) -> str:
         copied=''.join(f'<pre>{escape(text)}</pre><button class="copy" type="button">Copy</button>'
                        for text in report.copied),
         made=_facts(_origin(report)), data=embedded(data))
-
-
-def _layout(report: Report) -> str:
-    """Return the name of the page's layout: with a moving body, with charts, or with neither."""
-    return 'moving' if report.body else 'charted' if report.panels else 'listed'
 
 
 def embedded(data: object) -> str:

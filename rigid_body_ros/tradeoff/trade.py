@@ -104,14 +104,14 @@ def _settings_of(case: Case, motion: Trajectory) -> list[Setting]:
                 if case.conserves and not solver.takes_torque]
     settings += [Setting(solver.name, tolerance) for solver in RECORDS
                  if solver.takes_torque and not solver.fixed_step for tolerance in _TOLERANCES]
-    longest = case.natural_step(motion, _LONGEST_ANGLE)
-    for solver in [solver.name for solver in RECORDS if solver.fixed_step
-                   and (solver.takes_linear_terms or not case.has_linear_terms)]:
-        step = longest
-        while step >= 1e-9 and case.seconds / step <= _MOST_STEPS:
-            settings.append(Setting(solver, max_step=round(step * 1e9) / 1e9))
-            step /= 2.0
-    return settings
+    steps, step = [], case.natural_step(motion, _LONGEST_ANGLE)
+    while step >= 1e-9 and case.seconds / step <= _MOST_STEPS:
+        steps.append(round(step * 1e9) / 1e9)
+        step /= 2.0
+    return settings + [Setting(solver.name, max_step=step) for solver in RECORDS
+                       if solver.fixed_step and (
+                           solver.takes_linear_terms or not case.has_linear_terms)
+                       for step in steps]
 
 
 def _measure_all(case: Case, settings: Sequence[Setting], reference: Reference,
