@@ -118,9 +118,9 @@ def _add_arguments(parser: Parser) -> None:
 
 
 def _names(text: str) -> tuple[str, ...]:
-    from rigid_body_ros.inference.align import check_names
     names = tuple(name.strip() for name in text.split(','))
     try:
+        from rigid_body_ros.inference.align import check_names
         check_names(names)
     except InputError as error:
         raise argparse.ArgumentTypeError(str(error)) from error

@@ -153,8 +153,8 @@ def _prior(text: str) -> tuple[str, str]:
 
 
 def _names(text: str) -> tuple[str, ...]:
-    from rigid_body_ros.inference.coordinates import checked_names
     try:
+        from rigid_body_ros.inference.coordinates import checked_names
         return checked_names([name.strip() for name in text.split(',')])
     except InputError as error:
         raise argparse.ArgumentTypeError(str(error).removeprefix('estimate: ')) from error
