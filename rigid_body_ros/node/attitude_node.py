@@ -69,6 +69,11 @@ class AttitudeComponent:
     on_log : callable, optional
         See `Publishers`.
 
+    Attributes
+    ----------
+    mode : str
+        The mode that the scene specifies.
+
     Raises
     ------
     InputError
@@ -94,6 +99,7 @@ class AttitudeComponent:
 
     def _configure(self) -> None:
         self._scene = self._parameters.scene
+        self.mode = self._scene.mode
         self._sources = sources_of(self._scene)
         path, name = self._scene.checkpoint, self._node.get_fully_qualified_name()
         self._checkpoint = Checkpoint(path, self._scene, name) if path else None
@@ -110,11 +116,6 @@ class AttitudeComponent:
         self._silent: set[int] = set()
         #: When the next diagnostics are due, in seconds on the monotonic clock.
         self._report_at = 0.0
-
-    @property
-    def mode(self) -> str:
-        """Return the mode that the scene specifies."""
-        return self._scene.mode
 
     def activate(self) -> None:
         """

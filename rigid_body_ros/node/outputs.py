@@ -214,8 +214,8 @@ def _wheel_states(wheels: Sequence[Wheel], kind: messages.MessageType) -> _Encod
     def encode(state: State, *_: object) -> bytes:
         # A start state that was given, not computed, contains no wheel efforts. The start state of
         # the scene contains no wheel speeds either.
-        values = (found if found.size else default for found, default in (
-            (state.wheel_speeds, speeds), (state.wheel_efforts, np.zeros(len(wheels)))))
-        return kind.encode(state.time_ns, '', messages.joint_values(*(
-            each[None] for each in values))[0])
+        velocities = state.wheel_speeds if state.wheel_speeds.size else speeds
+        efforts = state.wheel_efforts if state.wheel_efforts.size else np.zeros(len(wheels))
+        return kind.encode(state.time_ns, '', messages.joint_values(
+            velocities[None], efforts[None])[0])
     return encode
