@@ -15,12 +15,12 @@
 """
 Fit models to measurements, and judge them.
 
-`motion` defines what measurements can be compared with. `parameters` is the table of all that can
-be fitted, and `coordinates` its values and charts. `guess` guesses where a fit begins. `windows`
-are parts of a recording, and predict what the sensors measure. `setup` checks and holds all inputs
-of a fit, and divides recordings into windows. `fit` is the least-squares problem of some windows
-and its solution, and `growth` solves it in longer and longer windows. `align` is a fit of clocks,
-mountings and the start.
+`motion` defines what measurements can be compared with. `coordinates` holds the values and charts
+of all that can be fitted. `guess` guesses where a fit begins. `windows` are parts of a recording,
+and predict what the sensors measure. `setup` checks and holds all inputs of a fit, and divides
+recordings into windows. `fit` is the least-squares problem of some windows and its solution, and
+`growth` solves it in longer and longer windows. `align` is a fit of clocks, mountings and the
+start.
 
 After a fit, `errors` holds what is left. `evidence` linearizes the fit with its `noise`: what does
 the data not determine, and which other parameters explain the errors? `findings` judges the
