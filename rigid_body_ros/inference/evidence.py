@@ -517,5 +517,3 @@ class Suspect:
     def as_dict(self) -> dict[str, Any]:
         """Return the fields under the names used in the JSON file."""
         return {**asdict(self), 'value': as_json(np.array(self.value))}
-
-

@@ -106,7 +106,7 @@ def halves(solution: Solution) -> tuple[list[Reason], dict[str, float], float]:
     apart, sigma = np.abs(early - late), np.hypot(early_sigma, late_sigma)
     # A difference that is visible, if not significant, tells how far the fit may be off.
     drift = dict(zip(fit.names, np.where(apart > sigma, np.nan_to_num(apart) * scales,
-                                           0.0).tolist()))
+                                         0.0).tolist()))
     reasons = [Reason(f'the two halves of the recording give different values ({probability(p)})',
                       is_contradiction=True)] if p < ALARM else []
     return reasons, drift, ratio

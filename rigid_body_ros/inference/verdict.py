@@ -193,7 +193,7 @@ def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
     ranked by this drop, because no fit includes such a change.
     """
     ranked = sorted(attempts, key=lambda suspect: (suspect.validation_chi2_per_dof or 0.0,
-                                               -suspect.chi2_drop))
+                                                   -suspect.chi2_drop))
     command = partial(command_with, findings.solution.problem.setup)
     for suspect in findings.suspects:
         if suspect.text:

@@ -86,11 +86,11 @@ def at(constants: Constants, momentum: Vector, low: Vector) -> Linear:
     yzx, low_yzx = four.yzx(h), four.yzx(low_h)
     zxy, low_zxy = four.zxy(h), four.zxy(low_h)
     x, low_x = _diagonal((q, low_q), (zxy, low_zxy), (r, low_r),
-                             (four.yzx(minus_h), four.yzx(minus_low_h)), (d, low_d))
+                         (four.yzx(minus_h), four.yzx(minus_low_h)), (d, low_d))
     y, low_y = _diagonal((r, low_r), (h, low_h), (p, low_p),
-                             (four.zxy(minus_h), four.zxy(minus_low_h)), (e, low_e))
+                         (four.zxy(minus_h), four.zxy(minus_low_h)), (e, low_e))
     z, low_z = _diagonal((p, low_p), (yzx, low_yzx), (q, low_q),
-                                 (minus_h, minus_low_h), (f, low_f))
+                         (minus_h, minus_low_h), (f, low_f))
     return Linear((x, y, z), (low_x, low_y, low_z))
 
 

@@ -283,7 +283,7 @@ def _series_loads(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
     return taylor.SeriesLoads(linear_terms.scaled(now.linear, seconds), changes,
                               loads.linear_degree, stage.space_torque, loads.space_degree,
                               fields.of_step(loads.fields, stage.field_angle,
-                                                   now.field_work),
+                                             now.field_work),
                               lags.of_step(loads.lags, stage.since, now.lag_work),
                               friction.of_step(loads.friction, now.friction_work))
 

@@ -223,7 +223,7 @@ def enter(tangents: Tangents, row: int, state: KernelState, coefficients: Coeffi
             change = acceleration_from_torque(coefficients, add(
                 _load(impulses, place), _to_body(state, _load(impulses, place + 3))))
             _store(tangents.latest, SIZE * i + RATE, add(_load(tangents.latest, SIZE * i + RATE),
-                                                      change))
+                                                         change))
 
 
 @inlined

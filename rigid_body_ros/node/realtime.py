@@ -201,7 +201,7 @@ class Realtime(Mode):
 
     def _read(self, queued: Queued) -> Torque | None:
         torque = self.intake.read(self.intake.inputs.torque, queued.data, queued.source,
-                                   queued.arrived_ns)
+                                  queued.arrived_ns)
         now_ns = self._now_ns if self._is_simulated else queued.arrived_ns
         try:
             self._check_stamp(torque.stamp_ns, now_ns)

@@ -250,7 +250,7 @@ class _Runs:
         self._bodies, self._options, self._fields = bodies, options, fields
         self._order = layout.IN_ORDER if ascends else np.argsort(self._times_ns, kind='stable')
         self._messages = [of_body or of_start for of_body, of_start in zip(bodies.messages,
-                                                                     starts.messages)]
+                                                                           starts.messages)]
         count = len(bodies)
         self._progress = np.zeros(count, layout.PROGRESS)
         self._progress['grid'] = self._progress['begin'] = starts._packed

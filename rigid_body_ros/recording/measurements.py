@@ -224,7 +224,7 @@ def _read(path: str | Path, name: str | None, options: MeasuredOptions) -> list[
                                         'found none', *samples.notes]))
         samples = samples.without({*QUANTITIES} - {quantity})
     sensors = samples.sensors(where, ':'.join(filter(None, parts)),
-                            bool(topic) and options.time_source == 'header')
+                              bool(topic) and options.time_source == 'header')
     return [replace(sensor, frames=frames) for sensor in sensors]
 
 

@@ -25,7 +25,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,8 +65,11 @@ class Logged(NamedTuple):
         return stamps_ns if stamps_ns.size else np.array([self.problem.start.time_ns])
 
 
-def read(path: str | Path, scene: str | Path | Scene, *, interpolation: str | None = None,
-         time_source: str = 'header', **topics: Any) -> Problem:
+def read(path: str | Path, scene: str | Path | Scene, *,
+         topic: str | Sequence[str] | None = None, wheel_torque: str | None = None,
+         wheel_momentum: str | None = None, wheel_command: str | None = None,
+         inertia: str | None = None, interpolation: str | None = None,
+         time_source: str = 'header', columns: Mapping[str, str] | None = None) -> Problem:
     """
     Return the problem that the command `attitude_replay` solves for a recording and a scene.
 
@@ -79,11 +82,10 @@ def read(path: str | Path, scene: str | Path | Scene, *, interpolation: str | No
         The recording.
     scene : str, Path or Scene
         The scene, or the scene file.
-    interpolation, time_source
+    topic, wheel_torque, wheel_momentum, wheel_command, inertia
         See `replay`.
-    topics
-        The keyword arguments `topic`, `wheel_torque`, `wheel_momentum`, `wheel_command`, `inertia`
-        and `columns`; see `replay`.
+    interpolation, time_source, columns
+        See `replay`.
 
     Returns
     -------
@@ -97,8 +99,10 @@ def read(path: str | Path, scene: str | Path | Scene, *, interpolation: str | No
 
     """
     loaded = scene if isinstance(scene, Scene) else load(scene)
-    reading = Reading(topics=Topics.given(**topics).found_in(path, loaded),
-                      interpolation=interpolation, time_source=time_source)
+    topics = Topics.given(topic, wheel_torque=wheel_torque, wheel_momentum=wheel_momentum,
+                          inertia=inertia, wheel_command=wheel_command, columns=columns)
+    reading = Reading(topics=topics.found_in(path, loaded), interpolation=interpolation,
+                      time_source=time_source)
     return chosen(path, loaded, read_epochs(path, loaded, reading), may_change=True).problem
 
 
@@ -306,7 +310,7 @@ def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str,
     if not len(recorded):
         return TorqueLog([], [], interpolation=interpolation)
     return torques.torque_log(path, recorded, scene.body_frame, scene.space_frame, interpolation,
-                      scene.links, accounts[recorded.topic])
+                              scene.links, accounts[recorded.topic])
 
 
 def _efforts(path: str | Path, recorded: Messages) -> EffortLog:

@@ -244,7 +244,7 @@ def of_table(path: str | Path, columns: Mapping[str, str] | None = None) -> Meas
         values[:, [table.names.index(name) for name in group]] if group[0] in table.names else
         np.full((len(values), len(group)), np.nan) for group in (ATTITUDE, RATES))
     present = [is_sample(attitude, table.width) & (ATTITUDE[0] in table.names),
-             is_sample(rates, table.width) & (RATES[0] in table.names)]
+               is_sample(rates, table.width) & (RATES[0] in table.names)]
     return _samples(stamps_ns, attitude, rates, np.column_stack(present), notes=tuple(table.notes))
 
 

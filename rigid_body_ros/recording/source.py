@@ -387,7 +387,7 @@ def with_types(types: Mapping[str, str], topics: Iterable[str]) -> str:
 
 
 def _open_files(name: str | Path, stack: ExitStack, columns: Mapping[str, str] | None = None
-               ) -> tuple[list[File], bool, str]:
+                ) -> tuple[list[File], bool, str]:
     """
     Open the files of a recording.
 

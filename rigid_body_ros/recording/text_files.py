@@ -360,7 +360,7 @@ def _name_of(unit_ns: int) -> str:
 
 
 def _columns_of(heading: Sequence[str], groups: Sequence[tuple[str, ...]], stem: str = '',
-               chosen: Mapping[str, str] | None = None) -> dict[str, TableColumn]:
+                chosen: Mapping[str, str] | None = None) -> dict[str, TableColumn]:
     """
     Find the columns of the time and of some quantities.
 

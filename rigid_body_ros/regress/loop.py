@@ -247,18 +247,18 @@ class Differences:
         """Return the differences as rows to print, each with a name and a text."""
         span = (self.end_ns - self.start_ns) * 1e-9
         rows = [('compared', f'{self.torques} torques and {self.states} states over {span:.9g} '
-                              's of the loop'),
-                 ('same bits', f'{self.same_torques} of {self.torques} torques, '
-                               f'{self.same_states} of {self.states} states')]
+                 's of the loop'),
+                ('same bits', f'{self.same_torques} of {self.torques} torques, '
+                 f'{self.same_states} of {self.states} states')]
         if self.missing:
             rows.append(('stamps', f'{self.missing} are those of one of the two loops only'))
         if self.first_ns is not None:
             rows.append(('first', f'{self._cause} at {self.first_ns} ns, '
-                          f'{(self.first_ns - self.start_ns) * 1e-9:.9g} s after the start'))
+                         f'{(self.first_ns - self.start_ns) * 1e-9:.9g} s after the start'))
         if self.attitude is not None:
             torque = '' if self.torque is None else f'torque {self.torque:.2g} N m, '
             rows.append(('largest', f'{torque}attitude {self.attitude:.2g} rad, rate '
-                                     f'{self.rate:.2g} rad/s'))
+                         f'{self.rate:.2g} rad/s'))
         return rows if self.equal else rows + [
             ('made by', f'{name} {there}, here {here}: the last bits may differ')
             for name, (there, here) in self.versions.items()]

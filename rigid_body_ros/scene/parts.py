@@ -188,7 +188,7 @@ def actuators_of(values: Mapping[str, Any]) -> tuple[Actuator | None, ...] | Non
 
     """
     topics, commands = values[_TOPICS], [name.removeprefix('/') if isinstance(name, str) else name
-                                        for name in values[_TOPICS]]
+                                         for name in values[_TOPICS]]
     torques = [str(name).removeprefix('/') for name in values['torque_topics']]
     for number, name in enumerate(commands):
         if name not in torques:
