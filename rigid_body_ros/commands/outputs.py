@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Check output files before a command does any work, so that no output replaces an input."""
+"""Check output files before a command does any work, and write them when it is done."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Test the errors of a fit to find out what is wrong with its model.
+Judge a fit: run the tests of `reasons` and the searches of `hypotheses`, and collect the results.
 
 Each test raises a false alarm with probability 1e-4, and about forty tests apply to a model. More
 than 99 out of 100 correct models therefore get the verdict 'explained'.

@@ -15,9 +15,9 @@
 """
 Test the errors of a fit for reasons against its model, which may be a little wrong.
 
-What the model of a real robot leaves unexplained is no noise: its errors last. Estimates are
-therefore less certain than the number of samples suggests. Several recordings tell best how
-certain they are.
+What the model of a real robot leaves unexplained is not white noise: neighbouring errors are
+alike. Estimates are therefore less certain than the number of samples suggests. Several recordings
+tell best how certain they are.
 """
 
 from __future__ import annotations

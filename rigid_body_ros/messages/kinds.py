@@ -251,6 +251,7 @@ TRANSFORM_STAMPED = MessageType('geometry_msgs/msg/TransformStamped', 7, has_chi
 #: The arrows differ in lightness as well as hue, so that colour-blind users can tell them apart.
 BOX = _marker(1, 0.70, 0.75, 0.80, 0.8)
 ORANGE_ARROW, BLUE_ARROW = _marker(0, 0.90, 0.62, 0.0, 1.0), _marker(0, 0.0, 0.27, 0.70, 1.0)
+#: The types that the package writes, by name; the tests compare them with rosbags.
 TYPES = {kind.name: kind for kind in (
     WRENCH, QUATERNION, VECTOR3, INERTIA, IMU, ODOMETRY, TRANSFORM, BOX)}
 

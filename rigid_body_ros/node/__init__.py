@@ -19,7 +19,8 @@ There are two versions of the node: the plain node in `attitude_node`, and the m
 `lifecycle`. Both are built on `AttitudeComponent` in `attitude_node`, which ties the other modules
 together. `process` runs a node as a command.
 
-`parameters` reads the scene, and `intake` receives messages, for `attitude_monitor`, too. `mode`
+`parameters` reads the scene, `sources` lists the topics to read, and `intake` receives messages,
+for `attitude_monitor`, too. `clocks` compares stamps with clocks. `mode`
 applies the torques in short slices of work. Its subclasses in `realtime`, `clock_mode` and
 `lockstep` decide which torques to accept, and when to publish a state. `outputs` publishes the
 states and the log, and `diagnostics` reports problems. Work that does not need ROS is done in the

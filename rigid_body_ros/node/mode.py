@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The common part of both modes: the run, and a torque queue processed in short slices."""
+"""The common part of all modes: the run, and a torque queue processed in short slices."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The topics from which a scene gets torques and inertias, with their logs and status names."""
+"""The topics that a node reads, with their logs and status names."""
 
 from __future__ import annotations
 

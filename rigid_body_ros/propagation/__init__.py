@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The time loop, which computes the motion from a start state and a torque log.
+Compute motions from a start state and torque logs, with the time loop in `kernels.loop`.
 
 A *segment* runs from one torque change to the next. Consecutive samples of zero torque form one
 segment, a *coast*. Within a segment, steps end on a grid, which begins with the segment and

@@ -21,7 +21,8 @@ of them implement the interface in `file`. `unpack` decompresses files and messa
 messages. `selection` says what to read, and how. `torques` turns messages into a torque log and
 splits a node's log into epochs. `problem` combines torque logs with a scene. `measurements` reads
 attitudes and angular velocities, and `quantities` extracts them from messages and tables; the
-result is a `measured.Measured`. `observed` reads torques and measurements together.
+result is a `measured.Measured`. `observed` reads torques and measurements together. `account` says
+what became of the messages, and `gaps` finds gaps between torques.
 
 Writing: `writer` writes MCAP files and rosbag2 bags, using `container` for the individual records.
 """
