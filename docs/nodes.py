@@ -348,6 +348,7 @@ usage: attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN]
 
 ```text
 usage: attitude_regress REFERENCE --scene FILE [--update] -- COMMAND [ARGUMENT ...]
+       attitude_regress RECORDING --open-loop [--within FIELD=VALUE,...] -- COMMAND [ARGUMENT ...]
 ```
 
 {regress}
@@ -367,13 +368,13 @@ other Python program.
 EXITS = [
     ('0', 'The command succeeded.'),
     ('1', 'With `attitude_replay --verify`, some states differ in at least one bit; the summary '
-          'gives the difference in radians. With `attitude_regress`, the closed loops differ. '
+          'gives the difference in radians. With `attitude_regress`, the loops or outputs differ. '
           'With any command, a traceback and the status 1 mean that there is a bug in the '
           'package.'),
     ('2', 'An argument is wrong, an input cannot be read, or an output cannot be written. A '
           'one-line message names the argument or the file. `attitude_ensemble` also exits with 2 '
-          'if all runs failed. `attitude_regress` also exits with 2 if the controller ended too '
-          'early, sent no torques, or took too long.'),
+          'if all runs failed. `attitude_regress` also exits with 2 if the command ended too '
+          'early, sent nothing, or took too long.'),
     ('3', 'With `attitude_identify`, the data does not determine all estimates, or the fit did '
           'not converge. The command has not written a scene unless you passed `--force`.'),
     ('4', 'With `attitude_identify`, the fit was rejected; the command has not written a scene '

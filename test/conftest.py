@@ -55,7 +55,7 @@ NEEDS = {
     'zarr': ['ensemble_folder', 'ensemble_motions', 'ensemble_results'],
     'rclpy': ['actuator_topics', 'clock_mode', 'clocks', 'closed_loop', 'crash', 'executors',
               'faults', 'fleet', 'imu_live', 'inertia_topic', 'launch', 'lifecycle', 'lockstep',
-              'monitor_live', 'node', 'overload', 'regress', 'robot_description',
+              'monitor_live', 'node', 'open_loop', 'overload', 'regress', 'robot_description',
               'shared_files_live', 'silence', 'soak', 'sources', 'topics', 'torque_topics',
               'wheel_command', 'workspace'],
     'colcon_ros': ['workspace'],

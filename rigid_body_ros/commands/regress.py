@@ -18,7 +18,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Collection
+from contextlib import suppress
 from functools import partial
+import math
 from pathlib import Path
 import shutil
 from tempfile import TemporaryDirectory
@@ -26,13 +28,14 @@ from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import load_scene
 from rigid_body_ros.commands.command import Command, imported, Parser, positive, within
-from rigid_body_ros.commands.outputs import checked
+from rigid_body_ros.commands.outputs import checked, Outputs
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import report
 
 if TYPE_CHECKING:
-    from rigid_body_ros.regress import Span
+    from rigid_body_ros.regress import Regression, Span
+    from rigid_body_ros.regress.open_loop import Answer
     from rigid_body_ros.scene import Scene
 
 #: The exit status if the controller's loop differs from the reference.
@@ -41,6 +44,10 @@ _SUFFIX = '.mcap'
 
 
 def _run(options: argparse.Namespace) -> int:
+    return _run_open_loop(options) if options.open_loop else _run_closed_loop(options)
+
+
+def _run_closed_loop(options: argparse.Namespace) -> int:
     from rigid_body_ros.regress import compare, Session, update
     from rigid_body_ros.regress.processes import private_domain
     from rigid_body_ros.regress.report import report_of
@@ -63,17 +70,67 @@ def _run(options: argparse.Namespace) -> int:
         if written:
             with files.atomic_output(options.reference, _SUFFIX) as path:
                 shutil.copyfile(result.path, path)
-    outputs.show(result.text(), 14, [*([options.reference] if written else []), *outputs.names])
+    return _shown(options, result, outputs)
+
+
+def _run_open_loop(options: argparse.Namespace) -> int:
+    from rigid_body_ros.recording.all_messages import AllMessages
+    from rigid_body_ros.regress.open_loop import OpenLoop
+    from rigid_body_ros.regress.processes import private_domain
+    from rigid_body_ros.report.report import Report
+    _check_open_loop(options)
+    with checked(options) as outputs, TemporaryDirectory(prefix='attitude_regress.') as folder:
+        recorded = AllMessages(options.reference)
+        node = imported(options.command, 'rigid_body_ros.node.open_loop')
+        start = partial(_open_loop_node, options.command, options.reference,
+                        round(options.step * 1e9))
+        loop = OpenLoop.of(recorded, options.rest, start, options.timeout, node.fields_of,
+                           options.within)
+        with private_domain():
+            result = (loop.update if options.update else loop.compare)(Path(folder), node.FED)
+        title = f'{Path(options.reference).name}: open loop'
+        outputs.write_asked(None, lambda: Report(title, result.verdict, result.rows()[1:]),
+                            result.as_dict)
+    if options.update and result.is_same:
+        recorded.write(options.reference, result.messages)
+    return _shown(options, result, outputs)
+
+
+def _shown(options: argparse.Namespace, result: Regression | Answer,
+           outputs: Outputs) -> int:
+    """Print a result and the names of the outputs, and return the exit status."""
+    written = [options.reference] if options.update and result.is_same else []
+    outputs.show(result.text(), 14, [*written, *outputs.names])
     if result.is_same:
         return 0
     report(f'{options.command}: {result.verdict}')
     return DIFFERENT
 
 
+def _check_open_loop(options: argparse.Namespace) -> None:
+    """Raise InputError if options conflict, or if the recording cannot be replaced."""
+    _check_command(options)
+    for name in ('scene', 'tolerance', 'duration'):
+        if getattr(options, name) is not None:
+            raise InputError(f'--{name}: expected no --open-loop, found it')
+    if options.update:
+        files.check((options.reference, _SUFFIX))
+
+
+def _check_command(options: argparse.Namespace) -> None:
+    if not options.rest:
+        name = 'node' if options.open_loop else 'controller'
+        raise InputError(f"expected the command of a {name} after '--', found none")
+
+
 def _check(options: argparse.Namespace) -> None:
     """Raise InputError if options conflict, or if the file to replace is not a reference."""
-    if not options.rest:
-        raise InputError("expected the command of a controller after '--', found none")
+    _check_command(options)
+    for name in ('within', 'step'):
+        if getattr(options, name):
+            raise InputError(f'--{name}: expected --open-loop, found none')
+    if not options.scene:
+        raise InputError('expected --scene or --open-loop, found neither')
     if options.duration and not options.update:
         raise InputError('--duration: expected --update, found none')
     if options.update:
@@ -91,6 +148,25 @@ def _node(command: str, scene: Scene, logs: Collection[str]) -> Any:
         raise InputError(reason(error)) from error
 
 
+def _open_loop_node(command: str, path: str, step_ns: int, _: Collection[str]) -> Any:
+    """Create the node that feeds a recording; called in the process that runs it."""
+    from rigid_body_ros.recording.all_messages import AllMessages
+    try:
+        return imported(command, 'rigid_body_ros.node.open_loop').OpenLoopNode(
+            AllMessages(path), step_ns)
+    except RuntimeError as error:  # from the middleware
+        raise InputError(reason(error)) from error
+
+
+def _tolerances(text: str) -> dict[str, float]:
+    pairs = [part.rpartition('=') for part in text.split(',')]
+    with suppress(ValueError):
+        tolerances = {name.strip(): float(value) for name, _, value in pairs}
+        if all(name and 0.0 <= value < math.inf for name, value in tolerances.items()):
+            return tolerances
+    raise argparse.ArgumentTypeError(f'expected FIELD=VALUE,..., found {text!r}')
+
+
 def _span(options: argparse.Namespace, wheels: tuple[str, ...]) -> Span:
     """Return the time for which the loop must run when the command records a new reference."""
     from rigid_body_ros.regress import read, Span
@@ -105,13 +181,24 @@ def _span(options: argparse.Namespace, wheels: tuple[str, ...]) -> Span:
 def _add_arguments(parser: Parser) -> None:
     parser.add_argument('reference', metavar='REFERENCE',
                         help='recording of the loop: a file that --update has written, or another '
-                        'recording with the accepted_torque and committed topics of a node')
-    parser.add_scene()
+                        'recording with the accepted_torque and committed topics of a node. With '
+                        '--open-loop: an MCAP recording of the inputs and outputs of a node')
+    parser.add_scene('. Not with --open-loop')
+    parser.add_argument('--open-loop', action='store_true',
+                        help='feed the recording to any node, one message at a time, and compare '
+                        'what it publishes with the recording')
+    parser.add_argument('--within', type=_tolerances, default={}, metavar='FIELD=VALUE,...',
+                        help='with --open-loop, accept numbers that differ by at most VALUE in a '
+                        'field, such as pose.pose.orientation or /odometry:pose (default: no bit '
+                        'may differ)')
+    parser.add_argument('--step', type=positive, default=0.0, metavar='SECONDS',
+                        help='with --open-loop, move /clock forward by SECONDS while no message '
+                        'is due, for a node with timers (default: only with the messages)')
     parser.add_argument('--tolerance', type=within(0.0, 3.15), metavar='RAD',
                         help='accept attitudes that differ by at most this angle at the same '
                         'stamps (default: no bit may differ)')
     parser.add_argument('--update', action='store_true',
-                        help='run the controller twice and, if both loops are the same, write or '
+                        help='run the command twice and, if both runs are the same, write or '
                         'replace the reference')
     parser.add_argument('--duration', type=positive, metavar='SECONDS',
                         help='with --update, the length of the loop, measured by its stamps '

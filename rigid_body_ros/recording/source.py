@@ -23,6 +23,7 @@ import os
 from pathlib import Path, PurePath
 from typing import Any
 
+from mcap.records import Channel, Schema
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages
@@ -338,6 +339,27 @@ def topics(path: str | Path, kinds: Sequence[MessageType] | None = None) -> dict
         files, _, _ = _open_files(path, stack)
         return {topic: kind for file in files for topic, kind in file.types.items()
                 if names is None or kind in names}
+
+
+def read_all(path: str | Path) -> Iterator[tuple[Channel, Schema | None, Raw]]:
+    """
+    Generate the messages on all topics in blocks, each with its channel and its schema.
+
+    Raise InputError if the recording is damaged, or is neither an MCAP file nor a bag of such
+    files.
+    """
+    with ExitStack() as stack:
+        files, compressed, missing = _open_files(path, stack)
+        for file in files:
+            if not isinstance(file, McapFile):
+                raise InputError(f'{file.path}: expected an MCAP file, found another format')
+            for channel, schema, raw in file.read_all():
+                try:
+                    yield channel, schema, unpack_each(raw) if compressed else raw
+                except bulk.BadMessageError as error:
+                    raise InputError(f'{file.path}: {channel.topic}: {error}') from error
+            if lost := file.damage or missing:
+                raise InputError(f'{file.path}: expected a complete recording, found: {lost}')
 
 
 def _by_name(kinds: Sequence[MessageType]) -> dict[str, MessageType]:

@@ -18,7 +18,8 @@ Run a controller again in lockstep, and compare its closed loop with a recorded 
 First, `processes` reserves a ROS domain, and starts two processes in this domain: the controller's
 command, and a node that the caller provides. `regression` connects the two processes in a closed
 loop, records the loop, and decides which loops to compare. `loop` reads a recording, and compares
-two loops. `report` prepares their page.
+two loops. `report` prepares their page. `open_loop` feeds a recording to any node instead, and
+compares what the node publishes.
 """
 
 from rigid_body_ros.regress.loop import Differences, differences, Loop, read, Signal

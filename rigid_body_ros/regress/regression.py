@@ -20,12 +20,12 @@ A loop can also become a new reference.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 import signal
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.regress.loop import Differences, differences, Loop, read
@@ -38,7 +38,8 @@ from rigid_body_ros.runtime.terminal import report
 _PERIOD = 0.05
 #: How long the last torque of a controller may take to arrive after the controller has ended, s.
 _IN_TRANSIT = 1.0
-_CAUSES = 'wall time, random numbers or the order in which its threads run'
+#: Why a command may not be reproducible.
+CAUSES = 'wall time, random numbers or the order in which its threads run'
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,14 @@ class Span:
                                         for name, last_ns in expected.items())
 
 
+class Words(NamedTuple):
+    """What errors call a command and its work, and a function that says how far it has come."""
+
+    command: str
+    work: str
+    progress: Callable[[Status], str]
+
+
 @dataclass(frozen=True)
 class Session:
     """
@@ -91,6 +100,8 @@ class Session:
         The longest wall time that a loop may take.
     wheels : tuple of str
         The names of the wheels in the scene.
+    words : Words
+        What errors call the command and its work; by default, a controller and a loop.
 
     """
 
@@ -98,15 +109,25 @@ class Session:
     start: Start
     timeout: float
     wheels: tuple[str, ...] = ()
+    words: Words = field(default_factory=lambda: Words('controller', 'loop', _got))
 
     def record(self, path: str | Path, span: Span, may_end: bool = False) -> Loop:
         """
         Run the closed loop once, write the loop to a recording, and read it.
 
+        The arguments and errors are those of `run`.
+        """
+        self.run(path, span, may_end)
+        return read(path, self.wheels)
+
+    def run(self, path: str | Path, span: Span, may_end: bool = False) -> None:
+        """
+        Run the command and the node once, and let the node write its log.
+
         Parameters
         ----------
         path : str or Path
-            The recording to write.
+            The file to write.
         span : Span
             How long to run the loop.
         may_end : bool
@@ -122,17 +143,16 @@ class Session:
         with NodeProcess(self.start, span.by_log) as node, \
                 ControllerProcess(self.command) as controller:
             try:
-                self._run(node, controller, span, may_end)
+                self._wait(node, controller, span, may_end)
             except InputError:
                 for line in controller.output:
                     report(f'    {line}')
                 raise
             controller.end()  # without the node, the controller might wait for messages forever
             node.write(path, span.last_ns)
-        return read(path, self.wheels)
 
-    def _run(self, node: NodeProcess, controller: ControllerProcess, span: Span,
-             may_end: bool) -> None:
+    def _wait(self, node: NodeProcess, controller: ControllerProcess, span: Span,
+              may_end: bool) -> None:
         until, ending = time.monotonic() + self.timeout, None
         while not span.is_over(node.status.elapsed_ns):
             node.watch(_PERIOD)
@@ -147,13 +167,15 @@ class Session:
         else:
             return
         if ending is None:
-            raise InputError(f'{self._name}: expected the loop to end within --timeout '
-                             f'{self.timeout:g} s, found that {_got(node.status)}')
+            raise InputError(f'{self._name}: expected the {self.words.work} to end within '
+                             f'--timeout {self.timeout:g} s, found that '
+                             f'{self.words.progress(node.status)}')
         if ending or not (may_end and node.status.elapsed_ns):
             how = f'was ended by {signal.Signals(-ending).name}' if ending < 0 else \
                 f'ended with exit status {ending}'
-            raise InputError(f'{self._name}: expected a controller that runs to the end of the '
-                             f'loop, found that it {how}; {_got(node.status)}')
+            raise InputError(f'{self._name}: expected a {self.words.command} that runs to the '
+                             f'end of the {self.words.work}, found that it {how}; '
+                             f'{self.words.progress(node.status)}')
 
     @property
     def _name(self) -> str:
@@ -203,7 +225,7 @@ class Regression:
         if self.again is not None and not self.again.equal:
             same = 'within the tolerance, but ' if self.is_same else ''
             return f'{same}the controller is not reproducible: two runs differ from ' \
-                   f'{self.again.first_ns} ns on; does it use {_CAUSES}?'
+                   f'{self.again.first_ns} ns on; does it use {CAUSES}?'
         if self.differences.equal:
             return 'the loop has the same bits'
         if self.is_same:

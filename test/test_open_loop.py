@@ -1,0 +1,394 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""attitude_regress --open-loop: a node that gets recorded inputs publishes what it published."""
+
+from contextlib import suppress
+import json
+import math
+import os
+import subprocess
+import sys
+
+from conftest import at_night, EPOCH_NS, program, SECOND
+import numpy as np
+import psutil
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+from rigid_body_ros import messages, recording
+from rigid_body_ros.commands import main
+from rigid_body_ros.recording.all_messages import AllMessages
+from std_msgs.msg import String
+
+pytestmark = pytest.mark.ros
+COUNT, STEP_NS = 60, SECOND // 100
+STAMPS_NS = EPOCH_NS + STEP_NS * np.arange(COUNT)
+GAIN = 0.9
+#: The beginning of a node that answers each message on one topic with one on another.
+NODE = """
+import sys
+from geometry_msgs.msg import Vector3Stamped, WrenchStamped
+from nav_msgs.msg import Odometry
+import rclpy
+from rclpy.parameter import Parameter
+rclpy.init()
+clock = '98765.4322 clock' in sys.argv[1]
+node = rclpy.create_node('own', parameter_overrides=[Parameter('use_sim_time', value=clock)])
+def on(message, function, topic, kind):
+    publisher = node.create_publisher(kind, topic, 10)
+    def respond(given):
+        answer = kind()
+        answer.header = given.header
+        function(given, answer)
+        publisher.publish(answer)
+    given = '/odometry' if message is Odometry else '/torque'
+    node.create_subscription(message, given, respond, 10)
+"""
+SPIN = """
+import contextlib
+with contextlib.suppress(KeyboardInterrupt):
+    rclpy.spin(node)
+"""
+#: An estimator with a memory, whose gain is an argument.
+ESTIMATOR = f"""{NODE}
+momentum = [0.0] * 3
+def estimate(given, answer):
+    torque = given.wrench.torque
+    for k, value in enumerate((torque.x, torque.y, torque.z)):
+        momentum[k] = float(sys.argv[2]) * momentum[k] + value
+    answer.vector.x, answer.vector.y, answer.vector.z = momentum
+on(WrenchStamped, estimate, '/momentum', Vector3Stamped)
+{SPIN}"""
+#: A controller: quaternion feedback with the gain of an argument.
+CONTROLLER = f"""{NODE}
+def control(given, answer):
+    attitude, rate = given.pose.pose.orientation, given.twist.twist.angular
+    for axis in 'xyz':
+        setattr(answer.wrench.torque, axis, -float(sys.argv[2]) * getattr(attitude, axis)
+                - 0.3 * getattr(rate, axis))
+on(Odometry, control, '/control', WrenchStamped)
+{SPIN}"""
+#: A node whose timer counts: it publishes every 4 ms of the time on /clock.
+TIMER = f"""{NODE}
+node.create_subscription(WrenchStamped, '/torque', lambda message: None, 10)
+publisher, count = node.create_publisher(Vector3Stamped, '/momentum', 10), [0]
+def tick():
+    count[0] += 1
+    answer = Vector3Stamped()
+    answer.header.stamp = node.get_clock().now().to_msg()
+    answer.vector.x = float(count[0])
+    publisher.publish(answer)
+node.create_timer(0.004, tick)
+{SPIN}"""
+#: A node that publishes without end, and one whose outputs are random.
+FLOOD = f"""{NODE}
+publisher = node.create_publisher(Vector3Stamped, '/momentum', 10)
+node.create_subscription(WrenchStamped, '/torque', lambda message: None, 10)
+node.create_timer(float(sys.argv[2]), lambda: [
+    publisher.publish(Vector3Stamped()) for _ in range(1000)])
+{SPIN}"""
+ENDLESS = f"""{NODE}
+publisher = node.create_publisher(Vector3Stamped, '/momentum', 10)
+node.create_subscription(WrenchStamped, '/torque', lambda message: None, 10)
+while True:
+    publisher.publish(Vector3Stamped())
+"""
+RANDOM = f"""{NODE}
+import random
+def draw(given, answer):
+    answer.vector.x = random.random()
+on(WrenchStamped, draw, '/momentum', Vector3Stamped)
+{SPIN}"""
+#: A node that publishes other types than those recorded, and one that answers no more.
+OTHER = f"""{NODE}
+on(WrenchStamped, lambda given, answer: None, '/momentum', WrenchStamped)
+{SPIN}"""
+DIES = f"""{NODE}
+import os
+on(WrenchStamped, lambda given, answer: answer.header.stamp.nanosec < 500_000_000 or os._exit(3),
+   '/momentum', Vector3Stamped)
+{SPIN}"""
+#: An argument that no other command on this machine uses.
+MARK = '98765.4322'
+
+
+def command(code, argument=GAIN, mark=MARK):
+    return [sys.executable, '-c', code, mark, str(argument)]
+
+
+def torques():
+    return np.random.default_rng(1).normal(size=(COUNT, 6))
+
+
+def momenta(gain=GAIN):
+    values = [np.zeros(3)]
+    for torque in torques()[:, 3:]:
+        values.append(gain * values[-1] + torque)
+    return np.array(values[1:])
+
+
+def write(path, answers=None, without=()):
+    """Write a recording of both nodes, whose outputs are logged a little after their inputs."""
+    attitudes = np.random.default_rng(2).normal(size=(COUNT, messages.ODOMETRY.doubles))
+    answers = momenta() if answers is None else answers
+    control = np.zeros((COUNT, 6))
+    with recording.Writer(path) as writer:
+        for topic, kind, delay_ns, rows in (
+                ('/torque', messages.WRENCH, 0, torques()),
+                ('/momentum', messages.VECTOR3, 1_200_000, answers),
+                ('/odometry', messages.ODOMETRY, 300, attitudes),
+                ('/control', messages.WRENCH, 1_300_000, control)):
+            if topic not in without:
+                writer.add_topic(topic, kind)
+                for stamp_ns, values in zip(STAMPS_NS.tolist(), rows):
+                    writer.write(topic, stamp_ns + delay_ns, kind.encode(stamp_ns, 'body', values))
+    return path
+
+
+@pytest.fixture
+def path(tmp_path):
+    return write(tmp_path / 'recording.mcap')
+
+
+def run(path, *options, node=None):
+    return main.attitude_regress([str(path), '--open-loop', *map(str, options), '--',
+                                  *(command(ESTIMATOR) if node is None else node)])
+
+
+def marked():
+    """Return the processes that a test has started and that still run."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            if MARK in ' '.join(process.cmdline()) and process.pid != os.getpid() \
+                    and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+    return found
+
+
+def first_of(found, expected, field):
+    """Return how the result names the first difference between vectors."""
+    number, axis = np.argwhere(found != expected)[0]
+    values = (f'{which} {float(values[number, axis])!r}'
+              for which, values in (('expected', expected), ('found', found)))
+    return f' at {STAMPS_NS[number]} ns, message {number}, {field}.{"xyz"[axis]}: ' \
+        f'{", ".join(values)}'
+
+
+def result_of(tmp_path):
+    return json.loads((tmp_path / 'result.json').read_text())
+
+
+@pytest.mark.slow
+def test_an_estimator_publishes_what_it_published(path, tmp_path, capsys):
+    assert run(path, '--json', tmp_path / 'result.json', '--report', tmp_path / 'page.html') == 0
+    assert result_of(tmp_path) == {
+        'equal': True, 'inputs': {'/torque': COUNT},
+        'outputs': {'/momentum': {'messages': COUNT, 'same': COUNT}},
+        'first_difference': None, 'reproducible': None}
+    assert capsys.readouterr().out.splitlines()[:3] == [
+        'result        the outputs are the same', f'fed           {COUNT} messages on /torque',
+        f'compared      {COUNT} of {COUNT} messages on /momentum are the same']
+    assert 'The outputs are the same' in (tmp_path / 'page.html').read_text()
+    assert not marked()
+
+
+@pytest.mark.slow
+def test_one_unit_in_the_last_place_is_found_at_its_stamp_and_field(tmp_path, capsys):
+    number, answers = 41, momenta()
+    found = answers[number, 1]
+    answers[number, 1] = np.nextafter(found, 9.0)
+    path = write(tmp_path / 'recording.mcap', answers)
+    assert run(path, '--json', tmp_path / 'result.json') == 1
+    assert result_of(tmp_path)['first_difference'] == {
+        'topic': '/momentum', 'stamp_ns': int(STAMPS_NS[number]), 'number': number,
+        'field': 'vector.y', 'expected': repr(float(answers[number, 1])),
+        'found': repr(float(found))}
+    assert result_of(tmp_path)['outputs'] == {'/momentum': {'messages': COUNT, 'same': COUNT - 1}}
+    assert result_of(tmp_path)['reproducible']
+    output, error = capsys.readouterr()
+    assert f'first         /momentum at {STAMPS_NS[number]} ns, message {number}, vector.y: ' \
+        in output
+    assert 'second run    is the same as the first' in output
+    assert error == 'attitude_regress: the outputs differ from the recording\n'
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(('field', 'status'), [
+    ('vector.y=1e-12', 0), ('/momentum:vector=1e-12', 0), ('vector.x=1,header=1', 1), ('vec=1', 1),
+    ('/torque:vector.y=1', 1), ('vector.y=0', 1)])
+def test_a_tolerance_is_that_of_its_field(tmp_path, field, status):
+    answers = momenta()
+    answers[7, 1] = np.nextafter(answers[7, 1], 9.0)
+    assert run(write(tmp_path / 'recording.mcap', answers), '--within', field) == status
+
+
+@pytest.mark.slow
+def test_an_update_writes_the_outputs_of_now_and_keeps_the_rest(path, capsys):
+    before, changed = AllMessages(path), math.nextafter(GAIN, 1.0)
+    assert run(path, '--update', node=command(ESTIMATOR, changed)) == 0
+    after = AllMessages(path)
+    assert [*after.topics] == [*before.topics]
+    for topic in {*before.topics} - {'/momentum'}:
+        assert after.topics[topic].data == before.topics[topic].data
+        assert after.topics[topic].log_ns.tolist() == before.topics[topic].log_ns.tolist()
+    answers = recording.read(path, '/momentum', messages.VECTOR3)
+    np.testing.assert_array_equal(answers.values, momenta(changed))
+    assert after.topics['/momentum'].log_ns.tolist() == STAMPS_NS.tolist()
+    assert run(path, node=command(ESTIMATOR, changed)) == 0
+    capsys.readouterr()
+    assert run(path) == 1
+    assert first_of(momenta(), momenta(changed), 'vector') in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_controller_computes_what_its_update_has_written(path, capsys):
+    assert run(path, '--update', node=command(CONTROLLER, 0.5)) == 0
+    values = recording.read(path, '/odometry', messages.ODOMETRY).values
+    before, after = (-gain * values[:, 3:6] - 0.3 * values[:, 46:49]
+                     for gain in (0.5, math.nextafter(0.5, 1.0)))
+    control = recording.read(path, '/control', messages.WRENCH).values
+    np.testing.assert_array_equal(control[:, 3:], before)
+    assert run(path, node=command(CONTROLLER, 0.5)) == 0
+    capsys.readouterr()
+    assert run(path, node=command(CONTROLLER, math.nextafter(0.5, 1.0))) == 1
+    assert first_of(after, before, 'wrench.torque') in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_timer_follows_the_clock(path, capsys):
+    timer = command(TIMER, mark=f'{MARK} clock')
+    assert run(path, '--update', '--step', '0.002', node=timer) == 0
+    values = recording.read(path, '/momentum', messages.VECTOR3).values
+    assert len(values) == pytest.approx((COUNT - 1) * 10 / 4, abs=2)
+    assert values[:, 0].tolist() == [*range(1, len(values) + 1)]
+    assert run(path, '--step', '0.002', node=timer) == 0
+    assert run(path, '--step', '0.002') == 2
+    assert '--step: expected a node that subscribes to /clock' in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_node_that_is_not_reproducible_is_called_so(path, capsys):
+    before = path.read_bytes()
+    for options in ([], ['--update']):
+        assert run(path, *options, node=command(RANDOM)) == 1
+        assert 'the node is not reproducible: two runs differ from' in capsys.readouterr().err
+    assert path.read_bytes() == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('node', 'options', 'line'), [
+    (['no-such-command'], [], 'no-such-command: cannot be started: No such file or directory'),
+    (['sh', '-c', 'exit 3'], [], 'sh: expected a node that runs to the end of the recording, '
+     'found that it ended with exit status 3; no node subscribes'),
+    (command(DIES), [], 'ended with exit status 3; its inputs reach 0.37 s of the recording'),
+    (['sleep', MARK], ['--timeout', '3'], 'sleep: expected the recording to end within --timeout '
+     '3 s, found that no node subscribes to one recorded topic and publishes another: nothing '
+     'publishes /control, /momentum, /odometry, /torque'),
+    (command(FLOOD, 0.01), [], '/momentum: expected about as many messages as in the recording, '
+     'found more than 1000 before'),
+    *at_night((command(ENDLESS), [], '/momentum: expected about as many messages')),
+    (command(OTHER), [], '/momentum: expected geometry_msgs/msg/Vector3Stamped as in the '
+     'recording, found that /own uses geometry_msgs/msg/WrenchStamped')])
+def test_a_node_that_fails_is_one_line(path, capsys, node, options, line):
+    assert run(path, *options, node=node) == 2
+    output, error = capsys.readouterr()
+    assert not output
+    assert error.splitlines()[-1].startswith('attitude_regress: error: ')
+    assert line in error.splitlines()[-1]
+    assert len(error.splitlines()) == 1
+    assert not marked()
+
+
+@pytest.mark.slow
+def test_a_type_that_is_not_installed_matters_only_to_its_node(path, tmp_path, capsys):
+    recorded, other = AllMessages(path), tmp_path / 'other.mcap'
+    recorded.topics['/odometry'].schema.name = 'absent_msgs/msg/Odometry'
+    recorded.write(other, {})
+    assert AllMessages(other).topics['/odometry'].type == 'absent_msgs/msg/Odometry'
+    assert run(other) == 0
+    assert run(other, node=command(CONTROLLER)) == 2
+    assert '/odometry: expected absent_msgs/msg/Odometry as in the recording' \
+        in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('options', 'line'), [
+    (['--update'], "expected the command of a node after '--', found none"),
+    (['--scene', 'b', '--', 'c'], '--scene: expected no --open-loop, found it'),
+    (['--tolerance', '1', '--', 'c'], '--tolerance: expected no --open-loop, found it'),
+    (['--duration', '1', '--', 'c'], '--duration: expected no --open-loop, found it'),
+    (['--within', 'a', '--', 'c'], "expected FIELD=VALUE,..., found 'a'"),
+    (['--within', 'a=-1', '--', 'c'], "expected FIELD=VALUE,..., found 'a=-1'"),
+    (['--step', '0', '--', 'c'], 'expected a number from 1e-09'),
+    (['--', 'c'], 'a.mcap: cannot read the recording: No such file or directory')])
+def test_mistakes(tmp_path, monkeypatch, capsys, options, line):
+    monkeypatch.chdir(tmp_path)
+    with suppress(SystemExit):
+        assert main.attitude_regress(['a.mcap', '--open-loop', *options]) == 2
+    assert line in capsys.readouterr().err.splitlines()[-1]
+    assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize(('options', 'line'), [
+    ([], 'expected --scene or --open-loop, found neither'),
+    (['--scene', 'b', '--within', 'a=1'], '--within: expected --open-loop, found none'),
+    (['--scene', 'b', '--step', '1'], '--step: expected --open-loop, found none')])
+def test_mistakes_without_it(capsys, options, line):
+    assert main.attitude_regress(['a.mcap', *options, '--', 'c']) == 2
+    assert line in capsys.readouterr().err
+
+
+def test_what_cannot_be_fed_is_one_line(path, tmp_path, capsys):
+    table, cut = tmp_path / 'table.csv', tmp_path / 'cut.mcap'
+    table.write_text('0,1,2,3\n')
+    cut.write_bytes(path.read_bytes()[:-9])
+    for name, line in ((table, 'expected an MCAP file'),
+                       (cut, 'expected a complete recording, found: ')):
+        assert run(name) == 2
+        assert line in capsys.readouterr().err
+
+
+def test_fields_are_those_of_arrays_too():
+    from rigid_body_ros.node.open_loop import fields_of
+    data = serialize_message(String(data='text'))
+    assert deserialize_message(data, String).data == 'text'
+    assert fields_of('/a', 'std_msgs/msg/String', data) == {'data': 'text'}
+    odometry = messages.ODOMETRY.encode(5 * SECOND, 'map', np.arange(messages.ODOMETRY.doubles))
+    fields = fields_of('/a', 'nav_msgs/msg/Odometry', odometry)
+    assert fields['header.stamp.sec'] == 5
+    assert fields['pose.pose.orientation.w'] == 6.0
+    assert type(fields['pose.covariance[35]']) is float
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize('node', [command(ESTIMATOR), command(CONTROLLER, 0.5)])
+def test_twenty_of_twenty_runs_are_equal(path, node):
+    assert run(path, '--update', node=node) == 0
+    assert [run(path, node=node) for _ in range(20)] == [0] * 20
+
+
+@pytest.mark.nightly
+def test_ten_runs_side_by_side_do_not_disturb_each_other(path, tmp_path):
+    processes = []
+    for number in range(10):
+        gain = math.nextafter(GAIN, 1.0) if number % 2 else GAIN
+        processes.append(subprocess.Popen(
+            [*program('attitude_regress'), str(path), '--open-loop', '--timeout', '300', '--json',
+             str(tmp_path / f'{number}.json'), '--', *command(ESTIMATOR, gain)],
+            stdout=subprocess.DEVNULL))
+    assert [process.wait() for process in processes] == [0, 1] * 5
+    same, other = ({(tmp_path / f'{number}.json').read_text() for number in range(first, 10, 2)}
+                   for first in (0, 1))
+    assert len(same) == len(other) == 1
+    assert not marked()
