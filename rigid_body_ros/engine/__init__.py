@@ -28,13 +28,14 @@ from rigid_body_ros.kernels import (
 )
 from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.fields import MOST as MOST_FIELDS
+from rigid_body_ros.kernels.friction import FREE
 from rigid_body_ros.kernels.lags import CommandChanges, EXPIRY
 from rigid_body_ros.kernels.lags import MOST as MOST_LAGS
 from rigid_body_ros.kernels.layout import FASTEST, Friction, Lags, Rows, Samples, Sums, Terms
 from rigid_body_ros.kernels.messages import Contents, RawMessages
 from rigid_body_ros.kernels.state_layout import MOST_WHEELS
 
-__all__ = ['EXPIRY', 'FASTEST', 'FIELDS', 'MOST_FIELDS', 'MOST_LAGS', 'MOST_WHEELS',
+__all__ = ['EXPIRY', 'FASTEST', 'FIELDS', 'FREE', 'MOST_FIELDS', 'MOST_LAGS', 'MOST_WHEELS',
            'CommandChanges', 'Contents', 'Friction', 'Lags', 'RawMessages', 'Rows', 'Samples',
            'Sums', 'Terms', 'body_layout', 'interpolation', 'kernels', 'layout', 'many_loop',
            'motion_layout', 'state_layout', 'tangents', 'tensor', 'tensors']

@@ -70,7 +70,7 @@ class Experiment:
         The fields, as for `propagate`. All recordings must have the same fields.
     efforts : EffortLog, optional
         Commands for the named wheels. The motion is first computed with the guess, to find out
-        which commands are refused because a wheel has reached its maximum speed.
+        what the motors give while a wheel is at its largest speed.
     torques : Account, optional
         What became of the recorded torques.
 

@@ -28,6 +28,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import euler_equations, four
@@ -42,7 +43,14 @@ from rigid_body_ros.kernels.series_table import (
     turned,
     U,
 )
-from rigid_body_ros.kernels.state_layout import LOST_MOMENTA, MOMENTA, MOST_WHEELS
+from rigid_body_ros.kernels.state_layout import (
+    EFFORTS,
+    LOST_MOMENTA,
+    MODES,
+    MOMENTA,
+    MOST_WHEELS,
+    WITH_WHEELS,
+)
 from rigid_body_ros.kernels.vector import (
     accumulate,
     add,
@@ -59,17 +67,24 @@ from rigid_body_ros.kernels.vector import (
 )
 
 #: Number of doubles that describe four wheels. For each wheel, these are the three components of
-#: the axis, 1 / I, the low-order part of 1 / I, and f.
-SIZE = 24
-_X, _Y, _Z, _INVERSE, _LOST_INVERSE, _FRICTION = range(0, SIZE, 4)
+#: the axis, 1 / I, the low-order part of 1 / I, f, and the largest speed (0 if there is none).
+SIZE = 28
+_X, _Y, _Z, INVERSE, _LOST_INVERSE, FRICTION, LARGEST = range(0, SIZE, 4)
+#: What the motor of a wheel does: it gives its command, nothing, or what holds the speed. At the
+#: beginning of a segment, this is not known yet.
+UNKNOWN, FREE, OVER, HELD = 0.0, 1.0, 2.0, 3.0
 #: Layout of the terms of one order: the momenta, followed by the sum of H a over all wheels in
 #: three permutations. At order 0 the sum is zero, because the linear terms already include it.
 _SUM, _ORDER = MOST_WHEELS, MOST_WHEELS + PERMUTED
 #: After the series, the workspace contains the torques on the wheels at the beginning of the step,
-#: and the weights of the momenta.
+#: the weights of the momenta, factors that are 0 for the wheels whose speed is held and 1 for the
+#: others, the number of the held wheels, and for these the inverse of the matrix in `_prepare`.
 _TORQUES = _ORDER * (MAX_ORDER + 1)
 _WEIGHTS = _TORQUES + MOST_WHEELS
-WORKSPACE = _WEIGHTS + MOST_WHEELS
+_NOT_HELD = _WEIGHTS + MOST_WHEELS
+_COUNT, _RATES = _NOT_HELD + MOST_WHEELS, _NOT_HELD + MOST_WHEELS + 1
+_MATRIX = _RATES + MOST_WHEELS
+WORKSPACE = _MATRIX + MOST_WHEELS * MOST_WHEELS
 
 
 class WheelStates(NamedTuple):
@@ -78,8 +93,10 @@ class WheelStates(NamedTuple):
     grid: Floats
     begin: Floats
     latest: Floats
-    #: The wheel momenta at the requested times; see `layout.Friction`.
+    #: The wheel momenta and efforts at the requested times; see `layout.Friction`.
     requested: Floats
+    #: See `layout.Friction`.
+    events: NDArray[np.int64]
 
 
 class RowFriction(NamedTuple):
@@ -108,12 +125,13 @@ def states_of(friction: Any, progress: NDArray[Any]) -> WheelStates:
 
     The argument `progress` is an array of `layout.PROGRESS`.
     """
-    return WheelStates(progress[0].grid, progress[0].begin, progress[0].latest, friction.momenta)
+    return WheelStates(progress[0].grid, progress[0].begin, progress[0].latest, friction.momenta,
+                       friction.events)
 
 
 @inlined
 def accept(friction: RowFriction | None) -> None:
-    """Copy the latest wheel momenta to the grid state."""
+    """Copy the latest state of the wheels to the grid state."""
     if friction is None:
         return
     _copy(friction.states.latest, friction.states.grid)
@@ -138,8 +156,8 @@ def go_back(states: WheelStates | None) -> None:
 
 @internal
 def _copy(source: Floats, target: Floats) -> None:
-    for k in range(2 * MOST_WHEELS):
-        target[MOMENTA + k] = source[MOMENTA + k]
+    for k in range(MOMENTA, WITH_WHEELS):
+        target[k] = source[k]
 
 
 @inlined
@@ -147,8 +165,10 @@ def store(states: WheelStates | None, row: int) -> None:
     """Store the latest wheel momenta as the momenta at a requested time, in the given row."""
     if states is None:
         return
-    for k in range(states.requested.shape[1]):
+    count = states.requested.shape[1] // 2
+    for k in range(count):
         states.requested[row, k] = states.latest[MOMENTA + k]
+        states.requested[row, count + k] = states.latest[EFFORTS + k]
 
 
 @inlined
@@ -162,7 +182,7 @@ def momentum(friction: RowFriction | None, others: Vector, low: Vector) -> tuple
         return others, low
     high, grid = others, friction.states.grid
     for k in range(friction.efforts.shape[1]):
-        axis = _axis(friction.wheels, k)
+        axis = axis_of(friction.wheels, k)
         product = scale(grid[MOMENTA + k], axis)
         rest = add_scaled(four.negative(product), grid[MOMENTA + k], axis)
         high, lost = two_sum(high, product)
@@ -171,7 +191,8 @@ def momentum(friction: RowFriction | None, others: Vector, low: Vector) -> tuple
 
 
 @inlined
-def _axis(wheels: Floats, k: int) -> Vector:
+def axis_of(wheels: Floats, k: int) -> Vector:
+    """Return the axis of a wheel."""
     place = k // 4 * SIZE + k % 4
     return of(wheels[place + _X], wheels[place + _Y], wheels[place + _Z])
 
@@ -189,8 +210,8 @@ def square_rate(friction: RowFriction | None, frame: PrincipalFrame) -> float:
         return largest
     for k in range(friction.efforts.shape[1]):
         place = k // 4 * SIZE + k % 4
-        coefficient = friction.wheels[place + _FRICTION]
-        largest = max(largest, coefficient * friction.wheels[place + _INVERSE])
+        coefficient = friction.wheels[place + FRICTION]
+        largest = max(largest, coefficient * friction.wheels[place + INVERSE])
         coupled += coefficient / frame[0][0]
     return 0.25 * (largest + coupled) * (largest + coupled)
 
@@ -215,9 +236,15 @@ def acceleration(friction: RowFriction | None, w: Vector, coefficients: Coeffici
 def _torques(friction: RowFriction, w: Vector, place: int) -> Four:
     # Return the torques on four wheels, computed from the wheel momenta of the grid state.
     pull = _friction(friction.wheels, place, w, four.load(friction.states.grid, MOMENTA + place))
-    row = max(friction.row, 0)
-    return add(pull, four.of(friction.efforts[row, place], friction.efforts[row, place + 1],
-                             friction.efforts[row, place + 2], friction.efforts[row, place + 3]))
+    return add(pull, four.of(_given(friction, place), _given(friction, place + 1),
+                             _given(friction, place + 2), _given(friction, place + 3)))
+
+
+@inlined
+def _given(friction: RowFriction, k: int) -> float:
+    # Return the effort of a wheel that gives its command, and zero for another wheel.
+    gives = friction.states.grid[MODES + k] <= FREE
+    return friction.efforts[max(friction.row, 0), k] if gives else 0.0
 
 
 @inlined
@@ -228,8 +255,8 @@ def _friction(wheels: Floats, place: int, w: Vector, momenta: Four) -> Four:
                                  four.load(wheels, first + _Y)), w[0],
                       four.load(wheels, first + _X))
     whole = four.fma(momenta, four.load(wheels, first + _LOST_INVERSE),
-                     four.multiply(momenta, four.load(wheels, first + _INVERSE)))
-    return four.multiply(four.load(wheels, first + _FRICTION), four.subtract(rate, whole))
+                     four.multiply(momenta, four.load(wheels, first + INVERSE)))
+    return four.multiply(four.load(wheels, first + FRICTION), four.subtract(rate, whole))
 
 
 @inlined
@@ -258,9 +285,11 @@ def begin(step: StepFriction | None, state: KernelState, coefficients: Coefficie
         return 0.0
     friction, series = step
     store_permuted(series, _SUM, four.broadcast(0.0))
+    _prepare(friction, series, coefficients)
     for place in range(0, friction.efforts.shape[1], 4):
         four.store(series, place, four.load(friction.states.grid, MOMENTA + place))
-        four.store(series, _TORQUES + place, _torques(friction, state[0], place))
+        four.store(series, _TORQUES + place, four.multiply(
+            four.load(series, _NOT_HELD + place), _torques(friction, state[0], place)))
     return acceleration(friction, state[0], coefficients)
 
 
@@ -271,7 +300,7 @@ def weigh(step: StepFriction | None, angle: float, seconds: float) -> None:
         return
     friction, series = step
     for k in range(friction.efforts.shape[1]):
-        inverse = friction.wheels[k // 4 * SIZE + k % 4 + _INVERSE]
+        inverse = friction.wheels[k // 4 * SIZE + k % 4 + INVERSE]
         size = abs(series[k]) + seconds * abs(series[_TORQUES + k])
         speed = inverse * size + angle / seconds
         series[_WEIGHTS + k] = angle * inverse / speed if speed > 0.0 else 0.0
@@ -293,16 +322,83 @@ def add_acceleration(u: Vector, step: StepFriction | None, table: Floats, k: int
     factor, row = seconds * float(RECIPROCALS[k]), _ORDER * k
     torque = four.broadcast(0.0)
     for place in range(0, friction.efforts.shape[1], 4):
-        torques = four.load(series, _TORQUES + place) if k == 0 else \
-            _friction(friction.wheels, place, w, four.load(series, row + place))
+        torques = four.load(series, _TORQUES + place) if k == 0 else four.multiply(
+            four.load(series, _NOT_HELD + place),
+            _friction(friction.wheels, place, w, four.load(series, row + place)))
         torque = add(torque, _along(friction.wheels, place, torques))
         four.store(series, row + _ORDER + place, scale(factor, torques))
     # In body axes, the total wheel momentum changes because torques act and because the body
     # turns.
     turn = scale((k + 1) / seconds, turned(series, _SUM, _ORDER, table, k))
-    store_permuted(series, row + _ORDER + _SUM, scale(factor, torque))
-    return add_scaled(u, seconds * seconds, euler_equations.acceleration_from_torque(
+    u = add_scaled(u, seconds * seconds, euler_equations.acceleration_from_torque(
         coefficients, four.subtract(turn, torque)))
+    if series[_COUNT] > 0.0:
+        held = _hold(step, u, row + _ORDER, factor / (seconds * seconds))
+        torque = add_scaled(torque, 1.0 / (seconds * seconds), held)
+        u = four.subtract(u, euler_equations.acceleration_from_torque(coefficients, held))
+    store_permuted(series, row + _ORDER + _SUM, scale(factor, torque))
+    return u
+
+
+@internal
+def _prepare(friction: RowFriction, series: Floats, coefficients: Coefficients) -> None:
+    # Invert the matrix of the equations for the torques T on the wheels whose speed is held. With
+    # the acceleration b without these torques, a wheel needs T = I a . w', and the body reacts:
+    #   T_i / I_i + sum of (a_i . J^-1 a_j) T_j = a_i . b
+    count = friction.efforts.shape[1]
+    series[_COUNT] = 0.0
+    for i in range(count):
+        held = friction.states.grid[MODES + i] == HELD
+        series[_NOT_HELD + i] = 0.0 if held else 1.0
+        series[_COUNT] += 1.0 if held else 0.0
+    if series[_COUNT] == 0.0:
+        return
+    for i in range(count):
+        reaction = euler_equations.acceleration_from_torque(
+            coefficients, axis_of(friction.wheels, i))
+        for j in range(count):
+            both = (1.0 - series[_NOT_HELD + i]) * (1.0 - series[_NOT_HELD + j])
+            entry = both * dot(axis_of(friction.wheels, j), reaction)
+            if i == j:
+                entry += friction.wheels[i // 4 * SIZE + i % 4 + INVERSE] if both > 0.0 else 1.0
+            series[_MATRIX + MOST_WHEELS * i + j] = entry
+    _invert(series, count)
+
+
+@internal
+def _invert(series: Floats, count: int) -> None:
+    # Invert a symmetric positive definite matrix in its place, by Gauss and Jordan.
+    for k in range(count):
+        row = _MATRIX + MOST_WHEELS * k
+        pivot = 1.0 / series[row + k]
+        series[row + k] = 1.0
+        for j in range(count):
+            series[row + j] *= pivot
+        for i in range(count):
+            if i != k:
+                other = _MATRIX + MOST_WHEELS * i
+                factor = series[other + k]
+                series[other + k] = 0.0
+                for j in range(count):
+                    series[other + j] -= factor * series[row + j]
+
+
+@internal
+def _hold(step: StepFriction, u: Vector, row: int, factor: float) -> Vector:
+    # Return the term, in units of the step, of the torque on the wheels whose speed is held, and
+    # store the terms of their momenta in a row. `u` is the term of the acceleration without it.
+    friction, series = step
+    count, torque = friction.efforts.shape[1], four.broadcast(0.0)
+    for i in range(count):
+        series[_RATES + i] = (1.0 - series[_NOT_HELD + i]) * dot(axis_of(friction.wheels, i), u)
+    for i in range(count):
+        if series[_NOT_HELD + i] == 0.0:
+            term = 0.0
+            for j in range(count):
+                term += series[_MATRIX + MOST_WHEELS * i + j] * series[_RATES + j]
+            series[row + i] = factor * term
+            torque = add_scaled(torque, term, axis_of(friction.wheels, i))
+    return torque
 
 
 @inlined
@@ -322,12 +418,17 @@ def with_momenta(size: float, step: StepFriction | None, k: int) -> float:
 
 
 @inlined
-def end(step: StepFriction | None, order: int) -> None:
-    """Sum the series of the wheel momenta up to an order, and store the latest wheel momenta."""
+def end(step: StepFriction | None, order: int, seconds: float) -> None:
+    """Sum the series of the wheels up to an order, and store the latest momenta and efforts."""
     if step is None:
         return
     friction, series = step
     states = friction.states
+    for k in range(friction.efforts.shape[1]):
+        states.latest[MODES + k] = states.grid[MODES + k]
+        states.latest[EFFORTS + k] = _given(friction, k)
+        if series[_NOT_HELD + k] == 0.0:
+            states.latest[EFFORTS + k] = held_effort(step, k, order, seconds)
     for place in range(0, friction.efforts.shape[1], 4):
         change = four.broadcast(0.0)
         for k in range(order, 0, -1):  # begin with the smallest terms
@@ -336,3 +437,36 @@ def end(step: StepFriction | None, order: int) -> None:
                                four.load(states.grid, LOST_MOMENTA + place), change)
         four.store(states.latest, MOMENTA + place, high)
         four.store(states.latest, LOST_MOMENTA + place, low)
+
+
+@inlined
+def term(step: StepFriction, k: int, order: int) -> float:
+    """Return a term of the momentum of a wheel, N m s."""
+    return step.series[_ORDER * order + k]
+
+
+@inlined
+def reset(states: WheelStates | None, begins: bool) -> None:
+    """Forget the modes of the wheels if a segment begins."""
+    if states is None:
+        return
+    if begins:
+        for k in range(MOST_WHEELS):
+            states.grid[MODES + k] = UNKNOWN
+
+
+@inlined
+def held_effort(step: StepFriction, k: int, order: int, seconds: float) -> float:
+    """Return the effort at the end of a step that holds the speed of a wheel, N m."""
+    effort = 0.0
+    for m in range(order, 0, -1):
+        effort += m * step.series[_ORDER * m + k]
+    return effort / seconds + resisting(step.friction, k)
+
+
+@inlined
+def resisting(friction: RowFriction, k: int) -> float:
+    """Return the effort that friction takes at the largest speed, N m."""
+    place = k // 4 * SIZE + k % 4
+    return math.copysign(friction.wheels[place + FRICTION] * friction.wheels[place + LARGEST],
+                         friction.efforts[max(friction.row, 0), k])

@@ -101,14 +101,18 @@ class Lags(NamedTuple):
 
 
 class Friction(NamedTuple):
-    """Wheels with friction, padded to a multiple of four wheels; see `friction`."""
+    """Wheels with friction or a largest speed, padded to a multiple of four; see `friction`."""
 
     #: The motor torque on each wheel in each row, N m.
     efforts: Annotated[Floats, 'n 4g']
     #: The constants of the wheels; see `friction.SIZE`.
-    wheels: Annotated[Floats, '24g']
-    #: The axial momenta of the wheels at the requested times, N m s.
-    momenta: Annotated[Floats, 'm 4g', WRITTEN]
+    wheels: Annotated[Floats, '28g']
+    #: The axial momenta of the wheels at the requested times, N m s, and the efforts that their
+    #: motors apply, N m.
+    momenta: Annotated[Floats, 'm 8g', WRITTEN]
+    #: The times at which wheels reach or leave their largest speed; see `limits`. The first
+    #: element of the first row is the number of rows that follow.
+    events: Annotated[Ints, 'e 4', WRITTEN]
 
 
 @combined((), ('motors',), ('space',), ('motors', 'space'), ('motors', 'space', 'fields'),

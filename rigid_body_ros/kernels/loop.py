@@ -172,6 +172,7 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
             latest = short_step.step(  # SHORT STEP
                 grid, seconds, body.coefficients, acceleration, method.tolerance, held)
         else:  # STEPS
+            friction.reset(states, grid_ns == begin_ns)
             drive = intervals.drive(now, torques, row, degree, turning, body, loads)
             grid, grid_ns, latest, arrived, budget = stepping.advance(
                 grid, grid_ns, time_ns, drive, body, method, Series(table, None), budget, loads)

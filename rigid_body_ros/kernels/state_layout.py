@@ -19,7 +19,8 @@ The first vector is the angular velocity (rad/s, body axes) followed by a zero, 
 the attitude x y z w. The third and fourth vectors are the low-order parts of the first two.
 Because the state includes these low-order parts, a run that is stopped and resumed gives the same
 bits as an uninterrupted run. After the vectors come the axial momenta of the wheels with friction
-(N m s) and then the low-order parts of these momenta. If there are no such wheels, zeros take
+or a largest speed (N m s), the low-order parts of these momenta, the modes of the wheels (see
+`limits`), and the efforts that their motors apply (N m). If there are no such wheels, zeros take
 their place.
 """
 
@@ -34,10 +35,11 @@ from rigid_body_ros.kernels.jit import internal
 #: The offsets of the four vectors.
 RATES, ATTITUDE, _LOST_RATES, _LOST_ATTITUDE = range(0, 16, 4)
 SIZE = 16
-#: The largest number of wheels in a scene in which any wheel has friction.
+#: The largest number of wheels in a scene in which any wheel has friction or a largest speed.
 MOST_WHEELS = 8
 MOMENTA, LOST_MOMENTA = SIZE, SIZE + MOST_WHEELS
-WITH_WHEELS = LOST_MOMENTA + MOST_WHEELS
+MODES, EFFORTS = LOST_MOMENTA + MOST_WHEELS, LOST_MOMENTA + 2 * MOST_WHEELS
+WITH_WHEELS = EFFORTS + MOST_WHEELS
 
 
 def pack(rates: ArrayLike, attitude: ArrayLike,
@@ -78,7 +80,12 @@ def momenta(packed: Floats) -> Floats:
 
     The shape is (2, MOST_WHEELS).
     """
-    return packed[MOMENTA:].reshape(2, MOST_WHEELS)
+    return packed[MOMENTA:MODES].reshape(2, MOST_WHEELS)
+
+
+def efforts(packed: Floats) -> Floats:
+    """Return a view of the efforts that the motors apply, N m, shape (MOST_WHEELS,)."""
+    return packed[EFFORTS:]
 
 
 @internal

@@ -39,20 +39,23 @@ import math
 from typing import Any, NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import (
     fields,
     friction,
     intervals,
     lags,
     layout,
+    limits,
     linear_terms,
     steppers,
     taylor,
     vector,
 )
 from rigid_body_ros.kernels.intervals import Drive, Loads
-from rigid_body_ros.kernels.jit import inlined, optional, scratch
+from rigid_body_ros.kernels.jit import inlined, internal, optional, scratch
 from rigid_body_ros.kernels.layout import Body, FASTEST, Method
+from rigid_body_ros.kernels.state_layout import MODES, MOST_WHEELS
 from rigid_body_ros.kernels.tangents import follow, least_order, SeriesStep, Tangents
 
 _RK4, _STRANG, _EXPLICIT_EULER = layout.RK4, layout.STRANG, layout.EXPLICIT_EULER
@@ -130,8 +133,12 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     """
     # The workspaces must be created in this function, because an array from `scratch` is valid
     # only within the function that creates it.
-    work = scratch(fields.WORKSPACE)
+    work, wheels = scratch(fields.WORKSPACE), _friction_of(loads)
     works = work, scratch(lags.WORKSPACE), scratch(friction.WORKSPACE)
+    if wheels is not None:  # noqa: SIM102 (the compiler decides the first condition)
+        if limits.exist(wheels):
+            return _advance_limited(grid, grid_ns, time_ns, drive, body, method, series, budget,
+                                    loads)
     latest, now = grid, _local(loads, drive, grid, grid_ns, body, works)
     while grid_ns < time_ns:
         if budget <= 0:
@@ -146,12 +153,71 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         if last:
             break
         grid = latest
-        friction.accept(_friction_of(loads))
+        friction.accept(wheels)
         grid_ns += step_ns
         if is_too_fast(latest):
             return Reached(grid, grid_ns, latest, False, budget)
         if intervals.rotors_change(loads):
             now = _local(loads, drive, grid, grid_ns, body, works)
+    return Reached(grid, grid_ns, latest, True, budget)
+
+
+@internal
+def _advance_limited(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive,
+                     body: Body, method: Method, series: Series, budget: int,
+                     loads: Any) -> Reached:
+    # Advance like `advance`, and end steps where wheels reach or leave their largest speed. These
+    # events are those of full steps, so they do not depend on the requested times. A second, short
+    # step leads from an event to the next nanosecond.
+    work, wheels, latest = scratch(fields.WORKSPACE), loads.friction, grid
+    works = work, scratch(lags.WORKSPACE), scratch(friction.WORKSPACE)
+    modes, stuck = scratch(MOST_WHEELS), 0
+    limits.classify(wheels, grid[0], grid_ns)
+    while grid_ns < time_ns:
+        if budget <= 0 or limits.is_full(wheels):
+            return Reached(grid, grid_ns, latest, False, 0)
+        budget -= layout.STEP_COST
+        now = _local(loads, drive, grid, grid_ns, body, works)
+        step_ns, rest_ns = _natural_ns(grid, NEVER_NS, drive.bound, method, now), time_ns - grid_ns
+        latest, order = _series_step(grid, step_ns / 1e9, grid_ns, drive, body, method, series,
+                                     loads, now)
+        step = limits.Step(friction.of_step(wheels, now.friction_work), series.table, order,
+                           step_ns / 1e9, grid[0])
+        event = limits.first_event(step)
+        seconds = event.fraction * (step_ns / 1e9)
+        event_ns = -math.floor(-1e9 * seconds)
+        stuck = stuck + 1 if event_ns == 0 else 0
+        if stuck > 2 * MOST_WHEELS:  # rounding errors decide at this time: go on
+            latest, order = _series_step(grid, 1e-9, grid_ns, drive, body, method, series, loads,
+                                         now)
+            step_ns, stuck = 1, 0
+        elif event.fraction <= 1.0 and event_ns <= rest_ns:
+            for k in range(MOST_WHEELS):
+                modes[k] = wheels.states.grid[MODES + k]
+            limits.choose(step, event, body.coefficients, modes)
+            step_ns, rest = event_ns, event_ns / 1e9 - seconds
+            latest = grid
+            if seconds > 0.0:
+                latest, order = _series_step(grid, seconds, grid_ns, drive, body, method, series,
+                                             loads, now)
+                friction.accept(wheels)
+            limits.set_modes(wheels, modes, grid_ns + event_ns, rest)
+            friction.go_back(wheels.states)
+            if rest > 0.0:
+                before_ns = grid_ns + event_ns - 1  # what else acts changes little until the event
+                now = _local(loads, drive, latest, before_ns, body, works)
+                latest, order = _series_step(latest, rest, before_ns, drive, body, method, series,
+                                             loads, now)
+        elif step_ns >= rest_ns:
+            if step_ns > rest_ns:
+                latest, order = _series_step(grid, rest_ns / 1e9, grid_ns, drive, body, method,
+                                             series, loads, now)
+            break
+        grid = latest
+        friction.accept(wheels)
+        grid_ns += step_ns
+        if is_too_fast(latest):
+            return Reached(grid, grid_ns, latest, False, budget)
     return Reached(grid, grid_ns, latest, True, budget)
 
 
@@ -317,7 +383,21 @@ def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive,
     if method.solver == _EXPLICIT_EULER:
         return steppers.explicit_euler(state, seconds, body.coefficients, local, drive.in_space,
                                        stage)
+    latest, _ = _series_step(state, seconds, grid_ns, drive, body, method, series, loads, now)
+    return latest
+
+
+@inlined
+def _series_step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive, body: Body,
+                 method: Method, series: Series, loads: Loads | None,
+                 now: LocalLoads | None) -> tuple[vector.KernelState, int]:
+    # Return the state after a step of the series, and the order up to which the table is filled.
+    local = drive.polynomial
+    if drive.degree != 0:
+        local = vector.shifted(local, (grid_ns - drive.origin_ns) / 1e9 / drive.span,
+                               seconds / drive.span)
     driving = taylor.SeriesDrive(local, drive.degree, drive.in_space, drive.bound)
+    stage = _stage_loads(loads, now, drive, grid_ns, seconds)
     acting, turn = _series_loads(loads, now, stage, seconds), _turn_of(now, seconds)
     latest, order = taylor.step(
         state, seconds, body.coefficients, driving, method.tolerance, series.table, acting,
@@ -325,4 +405,4 @@ def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive,
     follow(series.tangents, state,
            SeriesStep(series.table, order, seconds, max(grid_ns - drive.origin_ns, 0) / 1e9),
            body.coefficients, driving, acting)
-    return latest
+    return latest, order

@@ -204,7 +204,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients,
     for k in range(order, 0, -1):  # the small terms first
         delta_u = add(delta_u, without_fourth(table, four.load(table, row_of(table, k) + U)))
         delta_q = add(delta_q, four.load(table, row_of(table, k) + rotation_of(table)))
-    friction.end(_friction_of(loads), order)
+    friction.end(_friction_of(loads), order, seconds)
     excess = fma(0.5, dot(delta_q, delta_q), delta_q[3])
     norm = math.sqrt(1.0 + 2.0 * excess)  # a truncated series does not have unit norm
     rest = four.of(0.0, 0.0, 0.0, -2.0 * excess / (1.0 + norm))

@@ -24,7 +24,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.wheels import Wheels
+from rigid_body_ros.mechanics.wheels import Axial, Wheels
 from rigid_body_ros.propagation import Propagator
 from rigid_body_ros.propagation.sources import BODY, COMMANDS, Sample, WHEELS
 from rigid_body_ros.scene import Scene
@@ -61,8 +61,6 @@ class Epoch:
                                       actuator=scene.actuators, **asdict(scene.options),
                                       history=scene.history + scene.imu.delay + _SLACK)
         self._committed_ns = start.time_ns
-        #: The method `refused` has already counted the refused commands up to this stamp, ns.
-        self._counted_ns = start.time_ns - 1
         #: The sources and stamps of the torques from the earlier epoch.
         self._carried = {(torque.source, torque.stamp_ns) for torque in torques}
         for torque in torques:
@@ -185,17 +183,12 @@ class Epoch:
         """Record that the states at all stamps up to a given time are committed."""
         self._committed_ns = time_ns
 
-    def refused(self, time_ns: int) -> int:
-        """
-        Return how many commands were treated as zero because their wheels were too fast.
-
-        Each call counts only commands with stamps later than the `time_ns` of the previous call,
-        up to and including the `time_ns` of this call.
-        """
-        if not self._wheels.is_limited:
+    def count_limited(self, state: State) -> int:
+        """Return how many wheels are at their largest speed and give less than their command."""
+        axial = state._axial
+        if not isinstance(axial, Axial):
             return 0
-        begin_ns, self._counted_ns = self._counted_ns, time_ns
-        return self._propagator.refused_commands(begin_ns, time_ns)
+        return int((state.wheel_efforts != axial.efforts).sum())
 
     def clipped(self, torque: Torque) -> int:
         """Return how many efforts of a wheel command were clipped; 0 for any other torque."""

@@ -34,7 +34,7 @@ NO_TIME = 'no time was received on /clock yet'
 REPLACED, FORCE = 'replaced (same stamp)', 'force ignored'
 LOST, UNSTAMPED = 'lost', 'stamp 0, act on arrival'
 #: Names of the counts for wheel commands.
-CLIPPED, TOO_FAST = 'clipped to max_torque', 'zero at max_speed'
+CLIPPED, TOO_FAST = 'clipped to max_torque', 'limited at max_speed'
 #: Names of the counts for the motion.
 MISSED, NOT_COMPUTABLE, UNSENT = 'deadlines missed', 'states not computable', 'publish failures'
 UNSAVED, TIME_JUMP = 'checkpoint failures', 'clock jumps'

@@ -296,8 +296,8 @@ class Run:
             epoch.mark_committed(stamp_ns)
             if state is not None:
                 self._log_state(state)
-                if zeros := epoch.refused(stamp_ns):
-                    self._events.count(events.TOO_FAST, COMMANDS, zeros)
+                if limited := epoch.count_limited(state):
+                    self._events.count(events.TOO_FAST, COMMANDS, limited)
             if time.monotonic() > until:  # the next call will continue from here
                 raise OutOfTimeError(stamp_ns)
 

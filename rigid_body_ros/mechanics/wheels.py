@@ -33,7 +33,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine import MOST_WHEELS, state_layout
@@ -45,6 +45,8 @@ from rigid_body_ros.mechanics.state import State
 #: If this difference is at most this fraction of the sum of the two magnitudes, the difference
 #: counts as zero.
 _ROUNDED = 8.0 * np.finfo(float).eps
+#: A wheel with at least this fraction of its largest speed is at its limit.
+_AT_LIMIT = 1.0 - 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +71,10 @@ class Wheel:
     max_torque : float, N m
         The limit to which torque commands are clipped, or 0 for no limit.
     max_speed : float, rad/s
-        The limit on the speed relative to the body, or 0 for no limit. The limit is checked only
-        when a command takes effect: if the wheel is at or above this speed, a command that would
-        speed it up is treated as zero.
+        The limit on the speed relative to the body, or 0 for no limit. A command does not drive
+        the wheel beyond this speed: at the limit, the motor gives what holds the speed, up to the
+        command. If the motion of the body drives the wheel beyond the limit, such a command acts
+        as zero until the wheel is slower.
 
     Raises
     ------
@@ -116,23 +119,17 @@ class Axial(NamedTuple):
     since_ns: int
     stamp_ns: int
     #: The axial momenta H at the beginning of the span, N m s, and their low-order parts, shape
-    #: (2, n). None if there is friction, because H then depends on the motion and is stored in
-    #: each state.
+    #: (2, n). None if the wheels are coupled to the motion; H is then stored in each state.
     momenta: Floats | None
-    #: The commands in force, clipped to the torque limits, followed by the efforts that the motors
-    #: apply until the commands time out. Both are in N m and have shape (n,).
+    #: The commands in force, clipped to the torque limits, N m, shape (n,).
     commanded: Floats
-    acting: Floats
-    #: Whether each command that takes effect at `since_ns` is treated as zero, because its wheel
-    #: is too fast.
-    refused: NDArray[np.bool_]
     #: Whether the commands have timed out.
     is_silent: bool = False
 
     @property
     def efforts(self) -> Floats:
-        """Return the torques applied by the motors, N m, shape (n,)."""
-        return np.zeros(len(self.acting)) if self.is_silent else self.acting
+        """Return the commands, or zeros if they have timed out, N m, shape (n,)."""
+        return np.zeros(len(self.commanded)) if self.is_silent else self.commanded
 
 
 class Wheels:
@@ -148,14 +145,15 @@ class Wheels:
     ----------
     wheels : tuple of Wheel
     names : tuple of str
-    is_limited, has_friction : bool
-        Whether any wheel has a `max_speed`, and whether any wheel has friction.
+    is_limited, is_coupled : bool
+        Whether any wheel has a `max_speed`, and whether the momenta depend on the motion, because
+        any wheel has a `max_speed` or friction.
 
     Raises
     ------
     ValueError
         Two wheels have the same name, or there are more than `MOST_WHEELS` wheels and one of them
-        has friction.
+        has friction or a `max_speed`.
 
     """
 
@@ -172,10 +170,10 @@ class Wheels:
         self._max_speed[self._max_speed == 0.0] = np.inf
         self.is_limited = bool(np.isfinite(self._max_speed).any())
         self._friction = self._column('friction')
-        self.has_friction = bool(self._friction.any())
-        if self.has_friction and len(self) > MOST_WHEELS:
+        self.is_coupled = self.is_limited or bool(self._friction.any())
+        if self.is_coupled and len(self) > MOST_WHEELS:
             raise ValueError(f'wheels: expected at most {MOST_WHEELS} if one of them has '
-                             f'friction, found {len(self)}')
+                             f'friction or a max_speed, found {len(self)}')
 
     def __len__(self) -> int:
         return len(self.wheels)
@@ -185,9 +183,10 @@ class Wheels:
 
     @cached_property
     def constants(self) -> Floats:
-        """Return the constants that the kernels need for friction; see `layout.Friction`."""
+        """Return the constants that the kernels need; see `layout.Friction`."""
         inverse = [1 / Fraction(inertia) for inertia in self._inertia.tolist()]
-        rows = np.concatenate([self._axes.T, _pair(inverse), self._friction[None]])
+        largest = np.where(np.isfinite(self._max_speed), self._max_speed, 0.0)
+        rows = np.concatenate([self._axes.T, _pair(inverse), [self._friction, largest]])
         packed = self.padded(rows).reshape(len(rows), -1, 4).swapaxes(0, 1).ravel()
         packed.flags.writeable = False
         return packed
@@ -272,7 +271,7 @@ class Wheels:
             The angular velocity of the body.
 
         """
-        if self.has_friction:
+        if self.is_coupled:
             rotors = rotors + self.torque(momenta)
         return rotors - self.of_body(rates)
 
@@ -280,17 +279,12 @@ class Wheels:
         # Sum in a fixed order. In BLAS the order depends on the processor.
         return reduce(np.add, (rates[..., k:k + 1] * self._axes[:, k] for k in range(3)))
 
-    def refused(self, commands: Floats, speeds: Floats) -> NDArray[np.bool_]:
-        """Return whether each command, shape (..., n), would speed up a wheel that is too fast."""
-        return np.asarray((np.abs(speeds) >= self._max_speed)
-                          & (np.sign(commands) * np.sign(speeds) > 0.0))
-
     def begun(self, start: State) -> tuple[State, Axial]:
         """
         Split the start of a motion into the state of the carrier and the state of the wheels.
 
-        Without friction, the rotor momentum of the returned state is the sum of H a plus the
-        momentum of the unnamed rotors. With friction, it is the momentum of the unnamed rotors
+        The rotor momentum of the returned state is the sum of H a plus the momentum of the unnamed
+        rotors. If the wheels are coupled to the motion, it is the momentum of the unnamed rotors
         alone, and the packed state contains the momenta H.
 
         Raises
@@ -301,8 +295,8 @@ class Wheels:
 
         """
         of_start = start._axial
-        if isinstance(of_start, Axial) and len(of_start.acting) == len(self) and (
-                (of_start.momenta is None) == self.has_friction):
+        if isinstance(of_start, Axial) and len(of_start.commanded) == len(self) and (
+                (of_start.momenta is None) == self.is_coupled):
             return start, of_start
         speeds = start.wheel_speeds if len(start.wheel_speeds) else self._column('initial_speed')
         if len(speeds) != len(self):
@@ -315,14 +309,13 @@ class Wheels:
         for wheel, speed, axis in zip(self.wheels, speeds.tolist(), self._axes.tolist()):
             turn = sum((Fraction(a) * rate for a, rate in zip(axis, rates)), Fraction(speed))
             exact.append(Fraction(float(wheel.inertia)) * turn)
-            if not self.has_friction:
+            if not self.is_coupled:
                 others = [other + exact[-1] * Fraction(a) for other, a in zip(others, axis)]
         packed, momenta, none = start._packed, _pair(exact), np.zeros(len(self))
-        if self.has_friction:
+        if self.is_coupled:
             packed = packed.copy()
             state_layout.momenta(packed)[:, :len(self)] = momenta
-        axial = Axial(start.time_ns, -NEVER_NS, None if self.has_friction else momenta, none,
-                      none, none > 0.0)
+        axial = Axial(start.time_ns, -NEVER_NS, None if self.is_coupled else momenta, none)
         return State._as_computed(start.time_ns, packed, None, _pair(others)), axial
 
     def others(self, start: State) -> Floats:
@@ -355,9 +348,31 @@ class Wheels:
         momentum = self.relative(state._rotors[0], momenta[0], rates)
         for array in (speeds, momentum):
             array.flags.writeable = False
-        state.__dict__.update(wheel_speeds=speeds, wheel_efforts=axial.efforts.copy(),
+        efforts = axial.efforts.copy()
+        if self.is_limited:
+            efforts = self.applied(efforts, state_layout.efforts(state._packed)[:len(self)],
+                                   speeds)
+        state.__dict__.update(wheel_speeds=speeds, wheel_efforts=efforts,
                               rotor_momentum=momentum, _axial=axial)
         return state
+
+    def applied(self, commands: Floats, efforts: Floats, speeds: Floats) -> Floats:
+        """
+        Return the torques that the motors apply, N m, shape (..., n).
+
+        Parameters
+        ----------
+        commands : array, shape (..., n), N m
+            The commands in force, within the torque limits.
+        efforts : array, shape (..., n), N m
+            The torques just before, which matter for wheels at their largest speed.
+        speeds : array, shape (..., n), rad/s
+            The speeds of the wheels.
+
+        """
+        at_limit = (np.abs(speeds) >= _AT_LIMIT * self._max_speed) & (speeds * commands > 0.0)
+        return np.where(at_limit, np.clip(efforts, np.minimum(commands, 0.0),
+                                          np.maximum(commands, 0.0)), commands)
 
     def row(self, efforts: Mapping[str, float]) -> Floats:
         """

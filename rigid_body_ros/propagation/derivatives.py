@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import ENTRIES, Floats, symmetric
+from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine import (
     kernels,
     layout,
@@ -110,8 +111,7 @@ def with_derivatives(problem: MotionInputs, names: Sequence[str], at: ArrayLike,
     """
     # Tangents with torques come last, because others have no derivatives of the torques.
     components = sorted(_components(problem, names), key=lambda each: each.part == _TORQUES)
-    wheels = problem.named_wheels
-    if problem.has_friction or (wheels and wheels.is_limited):
+    if problem.is_coupled:
         raise ValueError('derivatives: expected a problem without wheels with friction or a '
                          'largest speed, which have no derivatives yet')
     times_ns, places = np.unique(checked_times(at, problem.start.time_ns)[0], return_inverse=True)
@@ -183,9 +183,9 @@ class _Tangents:
 
     def advance(self, times_ns: NDArray[np.int64]) -> Iterator[tuple[Floats, Floats, Floats]]:
         """Generate attitudes, angular velocities and tangents at ascending times."""
-        motion = self._motion
+        motion, changes = self._motion, self._motion.problem.changes
         while True:
-            next_ns = motion._next_ns
+            next_ns = changes.next_ns(motion._end_ns) if changes else NEVER_NS
             count = int(times_ns.searchsorted(next_ns))
             if count == len(times_ns):
                 yield self._piece(times_ns)

@@ -37,7 +37,7 @@ from rigid_body_ros.propagation.origin import without_origin
 from rigid_body_ros.propagation.segment import OutOfTimeError, Segment, torque_acts
 from rigid_body_ros.propagation.sources import Sample, summed_at
 from rigid_body_ros.propagation.timeline import OtherTorques
-from rigid_body_ros.propagation.wheels import Commands, friction_of, in_force
+from rigid_body_ros.propagation.wheels import Commands, coupled, in_force
 
 
 class NewBody(NamedTuple):
@@ -231,7 +231,7 @@ class History:
                 before: OtherTorques) -> tuple[Sums, OtherTorques]:
         """Return what acts from a given time onward; `before` acts up to this time."""
         motors = None
-        if self._wheels and axial and not self._wheels.has_friction:
+        if self._wheels and axial and not self._wheels.is_coupled:
             motors = self._wheels.torque(axial.efforts)[None]
         sums = summed_at(time_ns, change.samples, self._timeout_ns, motors)
         if before.lagging is None:
@@ -325,7 +325,7 @@ class History:
     def _segment(self, start: State, sums: Sums, others: OtherTorques, body: NewBody,
                  axial: Axial | None) -> Segment:
         friction = None
-        if self._wheels and axial and self._wheels.has_friction:
-            friction = friction_of(self._wheels, axial.efforts[None])
+        if self._wheels and axial and self._wheels.is_coupled:
+            friction = coupled(self._wheels, axial.efforts[None])
         return Segment(body.carrier, self._options, self._history_ns, start, sums, others,
                        friction)

@@ -90,7 +90,7 @@ class MotionInputs:
             check_named(self.named_wheels, self.efforts, self.fields)
         is_damped = body.is_damped or (
             self.changes is not None and any(after.is_damped for after in self.changes.bodies))
-        options.check_terms(is_damped, self.has_rotors, bool(self.fields), self.has_friction)
+        options.check_terms(is_damped, self.has_rotors, bool(self.fields), self.is_coupled)
         if not options.record.takes_torque:
             for source in self.sources:
                 options.check_torque_free(source)
@@ -124,9 +124,9 @@ class MotionInputs:
                     or (self.wheels and self.wheels.torques.any()))
 
     @property
-    def has_friction(self) -> bool:
-        """Return whether named wheels have friction."""
-        return self.named_wheels is not None and self.named_wheels.has_friction
+    def is_coupled(self) -> bool:
+        """Return whether the momenta of named wheels depend on the motion; see `Wheels`."""
+        return self.named_wheels is not None and self.named_wheels.is_coupled
 
     @property
     def has_torque(self) -> bool:

@@ -16,14 +16,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from typing import Any, Generic
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.engine import kernels, layout, motion_layout, state_layout
+from rigid_body_ros.engine import Friction, kernels, layout, motion_layout, state_layout
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import changed
 from rigid_body_ros.mechanics.state import State
@@ -34,11 +34,10 @@ from rigid_body_ros.propagation.options import checked_times
 from rigid_body_ros.propagation.origin import origin_of
 from rigid_body_ros.propagation.timeline import NO_OTHERS, OtherTorques, Timeline
 from rigid_body_ros.propagation.trajectory import joined, Trajectory
-from rigid_body_ros.propagation.wheels import Commands, in_force, momenta_of, WheelTimeline
+from rigid_body_ros.propagation.wheels import Commands, in_force, WheelTimeline, with_outputs
 
-#: If a wheel has a `max_speed`, so that commands may be refused, a timeline contains at most
-#: `_SPAN` wheel commands. `_try_commands` begins with `_WINDOW` of them.
-_WINDOW, _SPAN = 16, 512
+#: The loop stops when it has found this many events of wheels, and continues with an empty list.
+_EVENTS = 256
 
 
 class Integration(Generic[Same]):
@@ -54,15 +53,8 @@ class Integration(Generic[Same]):
     ----------
     problem : Problem
         The problem, which contains the current piece of each log.
-    refused_commands : int
-        Number of wheel commands that have been treated as zero so far, because their wheels were
-        too fast.
 
     """
-
-    # These defaults are class attributes, because most motions keep them, and it takes time to set
-    # the attributes of an instance.
-    refused_commands = 0
 
     def __init__(self, problem: Same) -> None:
         start = problem.start
@@ -70,8 +62,6 @@ class Integration(Generic[Same]):
         #: The current body (`_body`), and the same body without the axial inertia of the named
         #: wheels (`_carrier`).
         self._body = self._carrier = problem.body_at(start.time_ns)
-        #: The latest time at which the next timeline may begin. This limit keeps timelines short.
-        self._mark_ns = NEVER_NS
         #: The state of the named wheels.
         self._wheels: WheelTimeline | None = None
         self._others = NO_OTHERS
@@ -82,7 +72,7 @@ class Integration(Generic[Same]):
             start, axial = problem.named_wheels.begun(start)
             self._wheels = self._wheels_from(axial, start, -NEVER_NS)
         self._start = start
-        has_rotors = start._has_rotors or problem.has_friction
+        has_rotors = start._has_rotors or problem.is_coupled
         self._timeline = self._timeline_from(
             start.time_ns, start._rotors if has_rotors else None)
         self._progress, self._is_begun = self._begin(), False
@@ -96,26 +86,17 @@ class Integration(Generic[Same]):
         problem = self.problem
         assert problem.named_wheels
         if problem.efforts:
-            before, axial = axial, in_force(
-                problem.named_wheels, axial,
-                Commands.of(problem.efforts, after_ns, state.time_ns), state,
-                problem.options.timeout_ns)
-            if axial is not before and axial.stamp_ns == state.time_ns:
-                self.refused_commands += int(axial.refused.sum())
-        return self._wheels_on(axial, state)
+            axial = in_force(problem.named_wheels, axial,
+                             Commands.of(problem.efforts, after_ns, state.time_ns), state,
+                             problem.options.timeout_ns)
+        return self._wheels_on(axial)
 
-    def _wheels_on(self, axial: Axial, state: State) -> WheelTimeline:
-        """Return the wheels for the rest of the motion, or up to the next mark."""
-        problem, end_ns = self.problem, self._end_ns
+    def _wheels_on(self, axial: Axial) -> WheelTimeline:
+        """Return the wheels for the rest of the motion."""
+        problem = self.problem
         assert problem.named_wheels
-        wheels, efforts = problem.named_wheels, problem.efforts
-        self._mark_ns = NEVER_NS
-        if efforts and wheels.is_limited:  # a wrong guess ends a timeline, so keep it short
-            last = efforts.times_ns.searchsorted(end_ns, 'right') + _SPAN
-            self._mark_ns = int(efforts.times_ns[last]) if last < len(efforts) else NEVER_NS
-        speeds = wheels.speeds(momenta_of(axial, state)[0], state.angular_velocity)
-        return WheelTimeline(wheels, axial, efforts, problem.options.timeout_ns, end_ns,
-                             self._mark_ns, speeds)
+        return WheelTimeline(problem.named_wheels, axial, problem.efforts,
+                             problem.options.timeout_ns, self._end_ns)
 
     def _timeline_from(self, start_ns: int, momentum: Floats | None) -> Timeline:
         """Return the inputs for the rest of the motion, which continues at `start_ns`."""
@@ -123,16 +104,15 @@ class Integration(Generic[Same]):
         logs, wheels = problem.acting_logs, problem.wheels
         if self._wheels:
             wheels = self._wheels.log
-        if problem.changes or self._mark_ns < NEVER_NS:
+        if problem.changes:
             # Leave out the torques outside this part of the motion, because the sum of these
             # torques is not needed here.
-            end_ns = problem.changes.next_ns(start_ns) if problem.changes else NEVER_NS
-            span = start_ns, min(end_ns, self._mark_ns)
+            span = start_ns, problem.changes.next_ns(start_ns)
             logs = tuple(log.between(*span) for log in logs)
             wheels = wheels and wheels.between(*span)
         self._sources = (*logs, wheels) if wheels else logs
         others = self._others
-        if problem.has_friction:
+        if problem.is_coupled:
             wheels, others = None, others._replace(wheels=self._wheels)
         return Timeline(logs, wheels, problem.options.timeout_ns, self._body.is_damped,
                         start_ns, momentum, others)
@@ -179,8 +159,7 @@ class Integration(Generic[Same]):
 
         """
         self.problem = problem
-        self._continue(self._wheels and self._wheels_on(self._wheels.axial(self._end_ns),
-                                                        self._state()))
+        self._continue(self._wheels and self._wheels_on(self._wheels.axial(self._end_ns)))
 
     def _continue(self, wheels: WheelTimeline | None) -> None:
         """Continue the motion with a new timeline."""
@@ -215,52 +194,16 @@ class Integration(Generic[Same]):
         """
         requested = checked_times(at, self._end_ns)
         last_ns = requested[2] if until_ns is None else max(requested[2], until_ns)
-        self._try_commands(last_ns)
-        if self._next_ns > last_ns:
+        changes, parts, later = self.problem.changes, list[Trajectory](), requested[0]
+        if not changes or changes.next_ns(self._end_ns) > last_ns:
             return self._advance(*requested, until_ns)
-        parts, later = list[Trajectory](), requested[0]
-        while (next_ns := self._next_ns) <= last_ns:
-            before, changes = later < next_ns, self.problem.changes
+        while (next_ns := changes.next_ns(self._end_ns)) <= last_ns:
+            before = later < next_ns
             parts.append(self._advance(*checked_times(later[before], self._end_ns), next_ns))
-            if changes and next_ns == changes.times_ns[changes.in_force(next_ns)]:
-                self._change(changes.bodies[changes.in_force(next_ns)])
-            else:
-                self._continue(self._wheels_after(self._state()))
-            self._try_commands(last_ns)
+            self._change(changes.bodies[changes.in_force(next_ns)])
             later = later[~before]
         parts.append(self._advance(*checked_times(later, self._end_ns), until_ns))
         return joined(requested[0], parts)
-
-    @property
-    def _next_ns(self) -> int:
-        """Return the end of the current timeline, no later than the next change of the body."""
-        changes = self.problem.changes
-        return min(self._mark_ns, changes.next_ns(self._end_ns)) if changes else self._mark_ns
-
-    def _try_commands(self, last_ns: int) -> None:
-        """Let the timeline end at the first wheel command up to a time that is guessed wrong."""
-        wheels = self._wheels
-        if not (wheels and wheels.wheels.is_limited):
-            return
-        first, stop = wheels.times_ns.searchsorted(
-            [self._end_ns, min(last_ns, self._next_ns - 1)], 'right')
-        before, count = (self._progress.copy(), self._is_begun), _WINDOW
-        while first < stop:
-            rows = slice(first, min(first + count, stop))
-            wrong = wheels.are_wrong(rows, self._speeds_at(wheels, wheels.times_ns[rows]))
-            if wrong.any():
-                self._mark_ns = int(wheels.times_ns[first + wrong.argmax()])
-                break
-            first, count = rows.stop, 2 * count
-        self._progress, self._is_begun = before
-
-    def _speeds_at(self, wheels: WheelTimeline, times_ns: NDArray[np.int64]) -> Floats:
-        """Continue to the last given time; return all wheel speeds, rad/s, shape (m, wheels)."""
-        motion = motion_layout.allocate(times_ns.size)
-        _, momenta = self._fill(times_ns, layout.IN_ORDER, motion, len(self._timeline.times_ns))
-        if momenta is None:
-            momenta = wheels.momenta(times_ns)[:, 0]
-        return wheels.wheels.speeds(momenta, motion_layout.angular_velocity(motion))
 
     def _state(self) -> State:
         """Return the state at the end of the motion so far, without the rotors."""
@@ -300,14 +243,11 @@ class Integration(Generic[Same]):
             if end_ns < until_ns:  # the end of the piece was not requested: add it
                 times_ns, end_ns = np.append(times_ns, until_ns), until_ns
         order = layout.IN_ORDER if ascends else np.argsort(times_ns, kind='stable')
-        if self._wheels:  # a command at the end of a timeline is decided later
-            self.refused_commands += self._wheels.count_refused(
-                begin_ns, min(end_ns, self._next_ns - 1))
         motion = motion_layout.allocate(times_ns.size)
-        closed, momenta = self._fill(times_ns, order, motion, stop)
+        closed, momenta, events = self._fill(times_ns, order, motion, stop)
         self._end_ns = end_ns
         usage = SolverUsage(self._body, self.problem.options, self._timeline, begin_ns,
-                            end_ns, closed, self._wheels)
+                            end_ns, closed, self._wheels, events)
         if times_ns.size > count:
             times_ns = times_ns[:count]
         return Trajectory(times_ns, motion, (usage,), momenta)
@@ -317,25 +257,28 @@ class Integration(Generic[Same]):
         return self._timeline.momentum(times_ns)[:, 0]
 
     def _fill(self, times_ns: NDArray[np.int64], order: NDArray[np.intp], motion: Floats,
-              stop: int) -> tuple[NDArray[np.bool_], Floats | None]:
+              stop: int) -> tuple[NDArray[np.bool_], Floats | None, Sequence[Ints]]:
         """
         Compute the motion at the given times, but not beyond the beginning of the row `stop`.
 
-        The method returns `SolverUsage.closed` and `Trajectory._momenta`.
+        The method returns `SolverUsage.closed`, `Trajectory._momenta` and `SolverUsage.events`.
         """
         closed = np.zeros(len(self._timeline.times_ns) + 1, np.bool_)
         progress, problem = self._progress, self.problem
+        events = list[Ints]()
         if not times_ns.size:
-            return closed, None
+            return closed, None, events
         momenta: Floats | None = None
+        friction: Friction | None = None
         if self._is_begun:
             progress['done'] = 0
         for first, end, rows in self._timeline.chunks(progress['row'], stop):
             if rows.terms and rows.terms.friction:
-                friction = rows.terms.friction
-                momenta = np.empty((times_ns.size, friction.efforts.shape[1]))
+                if friction is None:
+                    friction = with_outputs(rows.terms.friction, times_ns.size, _EVENTS)
+                    momenta = friction.momenta
                 rows = rows._replace(terms=rows.terms._replace(
-                    friction=friction._replace(momenta=momenta)))
+                    friction=friction._replace(efforts=rows.terms.friction.efforts)))
             if self._is_begun or end - first < len(closed) - 1:
                 progress['row'] -= first
                 progress['stop'] = end - first
@@ -344,9 +287,13 @@ class Integration(Generic[Same]):
                                         self._carrier._constants, problem.options.method):
                 if result == layout.TOO_FAST:
                     raise problem.options.too_fast(int(progress['grid_ns'][0]))
+                if friction:
+                    events.append(_taken(friction))
             if first:
                 progress['row'] += first
         self._is_begun = True
+        if friction:
+            events.append(_taken(friction))
         if stop < len(closed) - 1 and (done := int(progress['done'][0])) < times_ns.size:
             # The remaining outputs are at the end of the piece, so they get the state of the last
             # grid point.
@@ -355,5 +302,14 @@ class Integration(Generic[Same]):
             motion_layout.attitude(motion)[again] = state_layout.attitude(grid)
             motion_layout.angular_velocity(motion)[again] = state_layout.angular_velocity(grid)
             if momenta is not None:
-                momenta[again] = state_layout.momenta(grid)[0, :momenta.shape[1]]
-        return closed, momenta
+                count = momenta.shape[1] // 2
+                momenta[again] = np.append(state_layout.momenta(grid)[0, :count],
+                                           state_layout.efforts(grid)[:count])
+        return closed, momenta, events
+
+
+def _taken(friction: Friction) -> Ints:
+    """Return the events that the loop has recorded, and empty its list."""
+    count = int(friction.events[0, 0])
+    friction.events[0, 0] = 0
+    return friction.events[1:1 + count].copy()

@@ -16,10 +16,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Ints
+from rigid_body_ros.engine import FREE
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.propagation.options import AUTO, EXACT, LONG_COAST, Options, TAYLOR
 from rigid_body_ros.propagation.timeline import Timeline
@@ -35,6 +38,22 @@ class Model(NamedTuple):
     reason: str
 
 
+class AtLimit(NamedTuple):
+    """A span in which a wheel is at its largest speed although its command drives it."""
+
+    wheel: str
+    #: When it begins and ends, ns; the parts of a nanosecond are exact to about a femtosecond.
+    begin_ns: int
+    begin_fraction: float
+    end_ns: int
+    end_fraction: float
+
+    @property
+    def seconds(self) -> float:
+        """Return the length of the span, s."""
+        return (self.end_ns - self.begin_ns + self.end_fraction - self.begin_fraction) / 1e9
+
+
 class SolverUsage(NamedTuple):
     """The data that show which solver computed each span of a motion."""
 
@@ -48,6 +67,8 @@ class SolverUsage(NamedTuple):
     closed: NDArray[np.bool_]
     #: The named wheels, or None if there are none.
     wheels: WheelTimeline | None = None
+    #: When wheels reach or leave their largest speed; see `layout.Friction`.
+    events: Sequence[Ints] = ()
 
     def models(self) -> tuple[Model, ...]:
         """Return a model for each span from the start to the last requested time, in order."""
@@ -96,3 +117,34 @@ class SolverUsage(NamedTuple):
 
 def _with_article(name: str) -> str:
     return f'an {name}' if name[0] in 'aeiou' else f'a {name}'
+
+
+def at_limit(parts: Sequence[SolverUsage]) -> tuple[AtLimit, ...]:
+    """Return the spans in which wheels are at their largest speed, ordered by their beginning."""
+    spans = dict[int, list[AtLimit]]()
+    for part in parts:
+        assert part.wheels
+        events = np.concatenate([np.empty((0, 4), np.int64), *part.events])
+        for number, name in enumerate(part.wheels.wheels.names):
+            own = events[events[:, 2] == number]
+            # A span ends with the next event, or with the row; the next row begins another one.
+            later_ns = np.append(part.timeline.times_ns, part.end_ns)
+            ends_ns = np.minimum(part.end_ns, later_ns[np.minimum(
+                np.searchsorted(later_ns, own[:, 0], 'right'), len(later_ns) - 1)])
+            for event, following, row_ns in zip(own, [*own[1:], None], ends_ns.tolist()):
+                time_ns, rest, _, mode = event.tolist()
+                end_ns, end = row_ns, 0.0
+                if following is not None and following[0] <= row_ns:
+                    end_ns, end = int(following[0]), -int(following[1]) * 1e-6
+                if mode != FREE:
+                    _add(spans.setdefault(number, []),
+                         AtLimit(name, time_ns, -rest * 1e-6, end_ns, end))
+    return tuple(sorted((span for some in spans.values() for span in some),
+                        key=lambda span: (span.begin_ns, span.begin_fraction)))
+
+
+def _add(spans: list[AtLimit], span: AtLimit) -> None:
+    """Append a span, or extend the last one if it ends where the span begins."""
+    if spans and spans[-1][3:] == span[1:3]:
+        span = spans.pop()._replace(end_ns=span.end_ns, end_fraction=span.end_fraction)
+    spans.append(span)

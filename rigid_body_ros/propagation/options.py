@@ -144,7 +144,7 @@ class Options:
                         layout.METHOD)
 
     def check_terms(self, damping: bool, rotors: bool, fields: bool = False,
-                    friction: bool = False) -> None:
+                    coupled: bool = False) -> None:
         """Raise ValueError if the scene has terms that the solver does not handle."""
         if fields and not self.record.takes_torque:
             raise ValueError(f'solver {self.solver!r} handles torque-free motion only, found '
@@ -152,9 +152,9 @@ class Options:
         if (damping or rotors) and not self.record.takes_linear_terms:
             raise ValueError(f'solver {self.solver!r} handles neither rotors nor damping, found '
                              + ('damping' if damping else 'rotors'))
-        if friction and self.record.fixed_step:
-            raise ValueError(f'solver {self.solver!r} handles no friction of wheels, which auto '
-                             'and taylor do')
+        if coupled and self.record.fixed_step:
+            raise ValueError(f'solver {self.solver!r} handles neither friction nor max_speed of '
+                             'wheels, which auto and taylor do')
 
     def check_torque_free(self, log: TorqueLog) -> None:
         """Raise ValueError if a log contains a torque that is not zero."""

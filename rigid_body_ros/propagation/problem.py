@@ -28,7 +28,8 @@ from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import Logs
+from rigid_body_ros.mechanics.torque import Logs, TorqueLog
+from rigid_body_ros.mechanics.wheels import Wheels
 from rigid_body_ros.propagation.derivatives import derivatives as derivatives_of
 from rigid_body_ros.propagation.inputs import MotionInputs, Rotors
 from rigid_body_ros.propagation.integration import Integration
@@ -36,6 +37,9 @@ from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import without_origin
 from rigid_body_ros.propagation.trajectory import Derivatives, Trajectory
 from rigid_body_ros.propagation.wheels import joined_log
+
+#: `Problem.carried` takes the mean effort of a wheel at its largest speed over this time, ns.
+_PIECE_NS = 10 ** 7
 
 
 class Problem(MotionInputs):
@@ -121,8 +125,9 @@ class Problem(MotionInputs):
         """
         Return a problem with the same motion, in which rotors replace the named wheels.
 
-        The bodies of the returned problem lack the axial inertia of the wheels. If there are no
-        named wheels, the method returns the problem itself.
+        The bodies of the returned problem lack the axial inertia of the wheels. While a wheel is
+        at its largest speed, its effort is replaced by means over 10 ms. If there are no named
+        wheels, the method returns the problem itself.
 
         Raises
         ------
@@ -132,19 +137,38 @@ class Problem(MotionInputs):
         """
         if not self.named_wheels:
             return self
-        if self.has_friction:
-            found = ', '.join(wheel.name for wheel in self.named_wheels.wheels if wheel.friction)
+        wheels, changes = self.named_wheels.wheels, self.changes
+        if found := ', '.join(wheel.name for wheel in wheels if wheel.friction):
             raise ValueError('wheels: expected none with friction, which only a propagation '
                              f'computes, found {found}')
-        carrier, changes = self.named_wheels.carrier, self.changes
-        start, _ = self.named_wheels.begun(self.start)
+        unlimited = Wheels([replace(wheel, max_speed=0.0) for wheel in wheels])
+        start, _ = unlimited.begun(self.start)
+        carrier = unlimited.carrier
         end_ns = int(self.efforts.times_ns.max(initial=self.start.time_ns)) if self.efforts \
             else self.start.time_ns
-        timelines = [part.wheels for part in self.propagate(at=[end_ns])._parts if part.wheels]
+        motion = self.propagate(at=[end_ns])
+        log = joined_log([part.wheels for part in motion._parts if part.wheels])
+        if motion.at_limit:
+            log = self._mean_efforts(motion, end_ns)
         return self.replaced(
-            body=carrier(self.body), start=without_origin(start), wheels=joined_log(timelines),
+            body=carrier(self.body), start=without_origin(start), wheels=log,
             changes=changes and BodyLog(changes.times_ns, [*map(carrier, changes.bodies)],
                                         changes.keep))
+
+    def _mean_efforts(self, motion: Trajectory, end_ns: int) -> TorqueLog:
+        """Return the mean torque on the wheels between all times at which it may change."""
+        assert self.named_wheels
+        times_ns = np.unique(np.concatenate([
+            [self.start.time_ns, end_ns], self.stamps_ns,
+            *(np.append(np.arange(span.begin_ns, span.end_ns, _PIECE_NS), span.end_ns)
+              for span in motion.at_limit),
+            *(part.timeline.times_ns for part in motion._parts)]))
+        times_ns = times_ns[(times_ns >= self.start.time_ns) & (times_ns <= end_ns)]
+        exact = self.propagate(at=times_ns)
+        momenta = exact._coupled(slice(None))[:, :len(self.named_wheels)]
+        efforts = np.diff(momenta, axis=0) / np.diff(times_ns)[:, None] * 1e9
+        return TorqueLog(times_ns, self.named_wheels.torque(
+            np.concatenate([efforts, exact.wheel_efforts[-1:]])))
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the rotor momentum at given times, N m s, body axes, shape (m, 3)."""

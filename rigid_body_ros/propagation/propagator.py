@@ -81,7 +81,7 @@ class Propagator:
         self.history_ns = max(1, duration_ns(history, 'history'))
         self._wheels = Wheels(wheels) if wheels else None
         self._options.check_terms(body.is_damped, bool(start._has_rotors or wheels), bool(fields),
-                                  bool(self._wheels and self._wheels.has_friction))
+                                  bool(self._wheels and self._wheels.is_coupled))
         self._start_ns = start.time_ns
         if self._wheels:
             check_named(self._wheels, None, fields)
@@ -325,19 +325,6 @@ class Propagator:
             return not efforts
         self._history.take(index, time_ns, row)
         return True
-
-    def refused_commands(self, after_ns: int, until_ns: int) -> int:
-        """
-        Return the number of refused commands with stamps in (after_ns, until_ns].
-
-        A refused command is treated as zero, because its wheel is too fast; see `Wheel.max_speed`.
-        Commands before `earliest_ns` have been discarded and are not counted.
-        """
-        self._history.compute(max(self._history.index_of(until_ns), 0))
-        return sum(int(axial.refused.sum())
-                   for change in self._history.between(after_ns, until_ns)
-                   if change.commands.stamp_ns == change.time_ns
-                   and (axial := change.motions[0].axial))
 
     def at(self, time_ns: int, within: float = math.inf) -> State:
         """

@@ -30,7 +30,7 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation.lags import LaggingSources
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.sources import acts, momentum_at, summed
-from rigid_body_ros.propagation.wheels import friction_of, WheelTimeline
+from rigid_body_ros.propagation.wheels import coupled, WheelTimeline
 
 #: Number of samples whose polynomials are computed at once.
 _CHUNK = 65536
@@ -138,7 +138,7 @@ class Timeline:
         marks_ns = [other.marks_ns for other in (lagging, wheels) if other]
         sums = summed(logs, start_ns, momentum, timeout_ns,
                       reduce(np.union1d, marks_ns) if marks_ns else None)
-        friction = friction_of(wheels.wheels, wheels.efforts(sums.times_ns)) if wheels else None
+        friction = coupled(wheels.wheels, wheels.efforts(sums.times_ns)) if wheels else None
         return rows_of(sums, sums.momentum, self.has_terms, self._has_motors, self._others,
                        friction)
 

@@ -27,7 +27,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import motion_layout
 from rigid_body_ros.mechanics import euler, so3
 from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.propagation.models import Model, SolverUsage
+from rigid_body_ros.propagation.models import at_limit, AtLimit, Model, SolverUsage
 from rigid_body_ros.propagation.wheels import WheelTimeline
 
 if TYPE_CHECKING:
@@ -78,8 +78,8 @@ class Trajectory:
     _motion: Floats
     #: The parts of the motion, in order. A new part begins at each change of the body.
     _parts: tuple[SolverUsage, ...]
-    #: The axial momenta of wheels with friction, N m s, with one row for each time. None if there
-    #: are no such wheels.
+    #: The axial momenta of wheels that are coupled to the motion, N m s, and their efforts, N m,
+    #: with one row for each time. None if there are no such wheels.
     _momenta: Floats | None = None
     derivatives: Derivatives | None = None
 
@@ -189,10 +189,14 @@ class Trajectory:
 
     def _axial(self, wheels: WheelTimeline, rows: Any) -> Floats:
         """Return the axial momenta of the wheels of a part, N m s, shape (n, wheels)."""
-        if wheels.wheels.has_friction:
-            momenta = np.empty((0, len(wheels.wheels))) if self._momenta is None else self._momenta
-            return momenta[:self.times_ns.size][rows]
+        if wheels.wheels.is_coupled:
+            return self._coupled(rows)[:, :len(wheels.wheels)]
         return wheels.momenta(self.times_ns[rows])[:, 0]
+
+    def _coupled(self, rows: Any) -> Floats:
+        """Return the momenta of coupled wheels, N m s, followed by their efforts, N m."""
+        assert self._momenta is not None
+        return self._momenta[:self.times_ns.size][rows]
 
     @cached_property
     def wheel_efforts(self) -> Floats:
@@ -201,8 +205,20 @@ class Trajectory:
 
         At a jump, these are the torques after the jump.
         """
-        return self._by_part(lambda part, rows: part.wheels.efforts(self.times_ns[rows])
-                             if part.wheels else np.empty((len(self.times_ns[rows]), 0)))
+        def of_part(part: SolverUsage, rows: Any) -> Floats:
+            if not part.wheels:
+                return np.empty((len(self.times_ns[rows]), 0))
+            commands, wheels = part.wheels.efforts(self.times_ns[rows]), part.wheels.wheels
+            if not wheels.is_limited:
+                return commands
+            before = np.split(self._coupled(rows), 2, axis=1)[1]
+            return wheels.applied(commands, before[:, :len(wheels)], self.wheel_speeds[rows])
+        return self._by_part(of_part)
+
+    @cached_property
+    def at_limit(self) -> tuple[AtLimit, ...]:
+        """Return when named wheels are at their largest speed although commands drive them."""
+        return at_limit([part for part in self._parts if part.wheels])
 
     @cached_property
     def angular_momentum_space(self) -> Floats:

@@ -33,6 +33,7 @@ from rigid_body_ros.mechanics.wheels import Axial, Wheels
 from rigid_body_ros.propagation.sources import momentum_at, summed
 
 _NO_TIMES = np.empty(0, np.int64)
+_NO_OUTPUTS, _NO_EVENTS = np.empty((0, 0)), np.empty((0, 4), np.int64)
 
 
 class Commands(NamedTuple):
@@ -80,11 +81,7 @@ class Commands(NamedTuple):
 
 class WheelTimeline:
     """
-    The wheels from a start time onward, if they keep the speeds that decide which commands act.
-
-    A command is refused, so that it acts as zero, if it would speed up a wheel that is too fast
-    when the command takes effect. `are_wrong` tells at which commands the wheels have speeds that
-    decide otherwise.
+    The commands of the wheels, and without coupling to the motion their momenta, from a time on.
 
     Parameters
     ----------
@@ -95,10 +92,8 @@ class WheelTimeline:
         The commands. Those up to the start time have already taken effect.
     timeout_ns : int
         See `TorqueLog.segments`.
-    start_ns, end_ns : int
-        The start time, and the time up to which there may be commands, ns.
-    speeds : array, shape (n,), rad/s
-        The speeds that decide.
+    start_ns : int
+        The start time, ns.
 
     Attributes
     ----------
@@ -108,31 +103,17 @@ class WheelTimeline:
     """
 
     def __init__(self, wheels: Wheels, axial: Axial, log: EffortLog | None, timeout_ns: int,
-                 start_ns: int, end_ns: int, speeds: Floats) -> None:
+                 start_ns: int) -> None:
         self.wheels, self._axial, self._timeout_ns = wheels, axial, timeout_ns
         self.times_ns, commands = _NO_TIMES, np.empty((0, len(wheels)))
         if log:
-            later = slice(*log.times_ns.searchsorted([start_ns, end_ns], 'right'))
-            self.times_ns, commands = log.times_ns[later], log.efforts[later]
-        self._begins = ~np.isnan(commands)
-        self._commanded = filled(wheels.clipped(commands), axial.commanded)
-        self._refused = wheels.refused(self._commanded, speeds) & self._begins
-        acting = np.where(self._begins, np.where(self._refused, 0.0, self._commanded), np.nan)
+            first = int(log.times_ns.searchsorted(start_ns, 'right'))
+            self.times_ns, commands = log.times_ns[first:], log.efforts[first:]
         #: The stamps and efforts of the commands in force at the start time or later.
-        self._held = self.times_ns, filled(acting, axial.acting)
+        self._held = self.times_ns, filled(wheels.clipped(commands), axial.commanded)
         if axial.stamp_ns > -NEVER_NS:
             self._held = (np.append(axial.stamp_ns, self.times_ns),
-                          np.concatenate([axial.acting[None], self._held[1]]))
-
-    def are_wrong(self, rows: slice, speeds: Floats) -> NDArray[np.bool_]:
-        """Return whether, at given wheel speeds, other commands in each row would be refused."""
-        refused = self.wheels.refused(self._commanded[rows], speeds) & self._begins[rows]
-        return np.asarray((refused != self._refused[rows]).any(axis=1))
-
-    def count_refused(self, begin_ns: int, end_ns: int) -> int:
-        """Return the number of refused commands with stamps in (begin_ns, end_ns]."""
-        rows = slice(*self.times_ns.searchsorted([begin_ns, end_ns], 'right'))
-        return int(self._refused[rows].sum())
+                          np.concatenate([axial.commanded[None], self._held[1]]))
 
     @property
     def marks_ns(self) -> NDArray[np.int64]:
@@ -156,7 +137,7 @@ class WheelTimeline:
 
     def momenta(self, times_ns: NDArray[np.int64]) -> Floats:
         """
-        Return the momenta of wheels without friction, N m s, shape (m, 2, n).
+        Return the momenta of wheels that are not coupled, N m s, shape (m, 2, n).
 
         The second axis holds the momenta and their low-order parts.
         """
@@ -165,7 +146,7 @@ class WheelTimeline:
         return np.concatenate(momenta, axis=2)[:, :, :len(self.wheels)]
 
     def efforts(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the efforts applied at given times, N m, shape (m, wheels)."""
+        """Return the commands in force at given times, N m, shape (m, wheels)."""
         held_ns, efforts = self._held
         rows = held_ns.searchsorted(times_ns, 'right') - 1
         applied = np.zeros((len(times_ns), len(self.wheels)))
@@ -180,8 +161,8 @@ class WheelTimeline:
         axial, row = self._axial, int(self.times_ns.searchsorted(time_ns, 'right')) - 1
         if row >= 0:
             stamp_ns = int(self.times_ns[row])
-            axial = Axial(stamp_ns, stamp_ns, axial.momenta, self._commanded[row],
-                          self._held[1][row - len(self.times_ns)], self._refused[row])
+            axial = Axial(stamp_ns, stamp_ns, axial.momenta,
+                          self._held[1][row - len(self.times_ns)])
         if 0 < self._timeout_ns <= time_ns - axial.stamp_ns:
             axial = axial._replace(since_ns=max(axial.since_ns, axial.stamp_ns + self._timeout_ns),
                                    is_silent=True)
@@ -192,8 +173,7 @@ class WheelTimeline:
 def joined_log(timelines: Sequence[WheelTimeline]) -> TorqueLog:
     """Return the total motor torque on the wheels over consecutive timelines."""
     logs = [log for timeline in timelines if (log := timeline.log)]
-    # If two timelines contain the same stamp, TorqueLog uses the sample of the later timeline, for
-    # which it is known whether the command is refused.
+    # If two timelines contain the same stamp, TorqueLog uses the sample of the later one.
     return TorqueLog(np.concatenate([_NO_TIMES, *(log.times_ns for log in logs)]),
                      np.concatenate([np.empty((0, 3)), *(log.torques for log in logs)]))
 
@@ -223,8 +203,7 @@ def in_force(wheels: Wheels, before: Axial, commands: Commands, state: State,
     Return the state of the wheels once commands have taken effect or timed out.
 
     A command takes effect if it has the stamp of the carrier state, or if it differs from the
-    command before, as at the start of a motion. If its wheel is then too fast, it is refused, so
-    that it acts as zero.
+    command before, as at the start of a motion.
 
     Parameters
     ----------
@@ -247,35 +226,38 @@ def in_force(wheels: Wheels, before: Axial, commands: Commands, state: State,
     is_silent = 0 < timeout_ns <= time_ns - stamp_ns
     if (stamp_ns, is_silent) == (before.stamp_ns, before.is_silent) and not begins.any():
         return before
-    momenta = momenta_of(before, state)
+    momenta = None if before.momenta is None else momenta_of(before, state)
     commanded = np.where(begins, clipped, before.commanded)
-    refused = begins & wheels.refused(
-        commanded, wheels.speeds(momenta[0], state.angular_velocity))
-    acting = np.where(begins, np.where(refused, 0.0, commanded), before.acting)
-    return Axial(time_ns, stamp_ns, None if before.momenta is None else momenta, commanded, acting,
-                 refused, is_silent)
+    return Axial(time_ns, stamp_ns, momenta, commanded, is_silent)
 
 
 def momenta_of(axial: Axial, state: State) -> Floats:
     """Return axial momenta at a state, N m s, and their low-order parts, shape (2, n)."""
     if axial.momenta is None:
-        return state_layout.momenta(state._packed)[:, :len(axial.acting)]
+        return state_layout.momenta(state._packed)[:, :len(axial.commanded)]
     if not axial.efforts.any():
         return axial.momenta
     momenta = [momentum_at(np.array([axial.since_ns]), before[None], efforts[None],
                            np.array([state.time_ns]))[0]
                for before, efforts in zip(_threes(axial.momenta), _threes(axial.efforts[None]))]
-    return np.concatenate(momenta, axis=1)[:, :len(axial.acting)]
+    return np.concatenate(momenta, axis=1)[:, :len(axial.commanded)]
 
 
-def friction_of(wheels: Wheels, efforts: Floats) -> Friction:
+def coupled(wheels: Wheels, efforts: Floats) -> Friction:
     """
-    Pack wheels with friction into a record that has room for one output.
+    Pack wheels that are coupled to the motion into a record that has room for one output.
 
     `efforts`, N m, has one row for each row of the record and one column for each wheel.
     """
-    padded = wheels.padded(efforts)
-    return Friction(padded, wheels.constants, np.empty((1, padded.shape[1])))
+    return with_outputs(Friction(wheels.padded(efforts), wheels.constants, _NO_OUTPUTS,
+                                 _NO_EVENTS), 1, 0)
+
+
+def with_outputs(friction: Friction, outputs: int, events: int) -> Friction:
+    """Return a record with room for outputs and for events, of which there are none yet."""
+    return friction._replace(
+        momenta=np.empty((outputs, 2 * friction.efforts.shape[1])),
+        events=np.zeros((1 + events, 4), np.int64))
 
 
 def _threes(rows: Floats) -> list[Floats]:

@@ -31,7 +31,7 @@ from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.mechanics.wheels import Wheels
-from rigid_body_ros.propagation import Integration, Problem, Trajectory
+from rigid_body_ros.propagation import AtLimit, Integration, Problem, Trajectory
 from rigid_body_ros.recording import Logged, Reading
 from rigid_body_ros.recording.gaps import announce, Gaps
 from rigid_body_ros.recording.problem import Stream
@@ -203,7 +203,7 @@ class Batches:
                 if trajectory.times_ns.size:
                     self._speed = _speed(trajectory.angular_velocity[-1])
                 if self.saturation:
-                    self.saturation.add(trajectory, self._problem.efforts, motion.refused_commands)
+                    self.saturation.add(trajectory, self._problem.efforts)
                 yield Batch(motion.problem, trajectory, sensed, time.perf_counter() - began)
                 began = time.perf_counter()
         except InputError:
@@ -235,20 +235,21 @@ class Saturation:
     ----------
     speeds : array, shape (n,), rad/s
         The largest speed of each wheel at any output; zeros if no wheel has a `max_speed`.
-    clipped, refused : int
-        How many efforts were clipped to `max_torque`, and how many acted as zero because the wheel
-        was at `max_speed` or above.
+    clipped : int
+        How many efforts were clipped to `max_torque`.
+    at_limit : list of AtLimit
+        When wheels were at their `max_speed` although their commands drove them.
 
     """
 
     def __init__(self, wheels: Wheels) -> None:
         self._wheels = wheels
         self.speeds: Floats = np.zeros(len(wheels))
-        self.clipped = self.refused = 0
+        self.clipped, self.at_limit = 0, list[AtLimit]()
         #: The number of rows of the log that have been counted.
         self._counted = 0
 
-    def add(self, motion: Trajectory, log: EffortLog | None, refused: int) -> None:
+    def add(self, motion: Trajectory, log: EffortLog | None) -> None:
         """
         Add a part of the motion.
 
@@ -258,14 +259,12 @@ class Saturation:
             The part.
         log : EffortLog, optional
             All commands to the wheels, for the whole motion.
-        refused : int
-            How many efforts acted as zero from the start of the motion to the end of this part.
 
         """
         if self._wheels.is_limited:
             speeds = np.abs(motion.wheel_speeds).max(axis=0, initial=0.0)
             self.speeds = np.maximum(self.speeds, speeds)
-        self.refused = refused
+            self.at_limit += motion.at_limit
         if log and motion.times_ns.size:
             stop = int(np.searchsorted(log.times_ns, motion.times_ns[-1], 'right'))
             self.clipped += self._wheels.count_clipped(log.efforts[self._counted:stop])
@@ -274,15 +273,18 @@ class Saturation:
     @property
     def warnings(self) -> list[str]:
         """Return warnings about wheels that were too fast and about efforts that were changed."""
-        warnings = [f'{wheel.name}: the wheel turned at up to {speed:.6g} rad/s, faster than its '
-                    f'max_speed of {wheel.max_speed:.9g} rad/s, which is checked only when a '
-                    'command takes effect'
+        warnings = [f'{wheel.name}: the motion of the body drove the wheel to {speed:.6g} rad/s, '
+                    f'beyond its max_speed of {wheel.max_speed:.9g} rad/s'
                     for wheel, speed in zip(self._wheels.wheels, self.speeds.tolist())
-                    if 0.0 < wheel.max_speed < speed]
+                    if 0.0 < wheel.max_speed * (1.0 + 1e-9) < speed]
+        for wheel in self._wheels.wheels:
+            if spans := [span for span in self.at_limit if span.wheel == wheel.name]:
+                warnings.append(
+                    f'{wheel.name}: at its max_speed of {wheel.max_speed:.9g} rad/s for '
+                    f'{sum(span.seconds for span in spans):.9g} s, first at '
+                    f'{spans[0].begin_ns} ns, last until {spans[-1].end_ns} ns')
         if self.clipped:
             warnings.append(f'efforts clipped to max_torque: {self.clipped}')
-        if self.refused:
-            warnings.append(f'efforts that acted as zero at max_speed: {self.refused}')
         return warnings
 
 

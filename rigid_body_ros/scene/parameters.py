@@ -78,9 +78,9 @@ NAMED = {
                   (0.0, BIG)),
         Parameter('max_torque', 0.0, 'N m', 'largest motor torque; larger commands are clipped to '
                   'it; 0 means no limit', (0.0, BIG)),
-        Parameter('max_speed', 0.0, 'rad/s', 'at this speed or above, a command that would speed '
-                  'up the wheel acts as zero; the node checks the speed only when the command '
-                  'takes effect; 0 means no limit', (0.0, BIG))),
+        Parameter('max_speed', 0.0, 'rad/s', 'largest speed to which commands drive the wheel; at '
+                  'this speed, the motor gives only what holds the speed; 0 means no limit',
+                  (0.0, BIG))),
 }
 PARAMETERS = {parameter.name: parameter for parameter in (
     *(Parameter(name, None, _BODY.unit, _MOMENT, (TINY, BIG)) for name in _BODY.components[:3]),

@@ -298,7 +298,7 @@ class Scene:
                              f'{self.values["orbit.mean_motion"]} rad/s')
         wheels = Wheels(self.named_wheels)
         wheels.carrier(self.body)
-        self.options.check_terms(False, True, friction=wheels.has_friction)
+        self.options.check_terms(False, True, coupled=wheels.is_coupled)
 
     def _warnings(self) -> Iterator[str]:
         if self.body.triangle_excess:
