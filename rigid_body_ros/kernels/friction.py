@@ -13,12 +13,14 @@
 # limitations under the License.
 
 """
-Viscous friction of named wheels.
+Named wheels whose momenta depend on the motion: those with friction or a largest speed.
 
 Along its axis a, a wheel feels the motor torque u minus the friction torque f W. Here f is the
 friction coefficient, and W = H / I - a . w is the speed of the wheel relative to the body. So the
 axial momentum H obeys H' = u - f W, and the body feels the torque -H' a. Because H depends on the
 motion, we include it in the state, and compute its series from the series of the rates.
+
+While the speed of a wheel is held at its limit (see `limits`), W is constant, so H' = I a . w'.
 
 The computations treat four wheels at a time.
 """

@@ -81,62 +81,62 @@ class Event(NamedTuple):
 
 
 @inlined
-def exist(found: RowFriction) -> bool:
+def exist(wheels: RowFriction) -> bool:
     """Return whether any wheel has a command and a largest speed."""
     count = 0
-    for k in range(found.efforts.shape[1]):
-        count += is_limited(found, k)
+    for k in range(wheels.efforts.shape[1]):
+        count += is_limited(wheels, k)
     return count > 0
 
 
 @inlined
-def is_limited(found: RowFriction, k: int) -> bool:
+def is_limited(wheels: RowFriction, k: int) -> bool:
     """Return whether a wheel has a command and a largest speed."""
-    return found.wheels[k // 4 * SIZE + k % 4 + LARGEST] > 0.0 \
-        and found.efforts[max(found.row, 0), k] != 0.0
+    return wheels.wheels[k // 4 * SIZE + k % 4 + LARGEST] > 0.0 \
+        and wheels.efforts[max(wheels.row, 0), k] != 0.0
 
 
 @inlined
-def _sign(found: RowFriction, k: int) -> float:
-    return math.copysign(1.0, found.efforts[max(found.row, 0), k])
+def _sign(wheels: RowFriction, k: int) -> float:
+    return math.copysign(1.0, wheels.efforts[max(wheels.row, 0), k])
 
 
 @internal
-def classify(found: RowFriction, w: Vector, time_ns: int) -> None:
+def classify(wheels: RowFriction, w: Vector, time_ns: int) -> None:
     """Set the modes of wheels at the beginning of a segment; those at their limit are free."""
-    grid = found.states.grid
-    for k in range(found.efforts.shape[1]):
+    grid = wheels.states.grid
+    for k in range(wheels.efforts.shape[1]):
         if grid[MODES + k] != UNKNOWN:
             continue
         grid[MODES + k] = FREE
-        if is_limited(found, k):
+        if is_limited(wheels, k):
             place = k // 4 * SIZE + k % 4
-            inverse, largest = found.wheels[place + INVERSE], found.wheels[place + LARGEST]
-            turning = dot(axis_of(found.wheels, k), w)
-            excess = _sign(found, k) * (_speed(found, k) - turning) - largest
+            inverse, largest = wheels.wheels[place + INVERSE], wheels.wheels[place + LARGEST]
+            turning = dot(axis_of(wheels.wheels, k), w)
+            excess = _sign(wheels, k) * (_speed(wheels, k) - turning) - largest
             size = abs(grid[MOMENTA + k]) * inverse + abs(turning) + largest
             if excess > _ROUNDING * size:
                 grid[MODES + k] = OVER
-                _record(found, k, time_ns, 0.0)
+                _record(wheels, k, time_ns, 0.0)
 
 
 @inlined
-def _speed(found: RowFriction, k: int) -> float:
+def _speed(wheels: RowFriction, k: int) -> float:
     # Return the speed of a wheel on the grid relative to space, rad/s.
-    grid, place = found.states.grid, k // 4 * SIZE + k % 4
-    high, inverse = grid[MOMENTA + k], found.wheels[place + INVERSE]
-    return (high * inverse + (high * found.wheels[place + INVERSE + 4]
+    grid, place = wheels.states.grid, k // 4 * SIZE + k % 4
+    high, inverse = grid[MOMENTA + k], wheels.wheels[place + INVERSE]
+    return (high * inverse + (high * wheels.wheels[place + INVERSE + 4]
                               + grid[LOST_MOMENTA + k] * inverse))
 
 
 @internal
 def _excess(step: Step, k: int, terms: Floats) -> None:
     # Store the series of the speed of a wheel beyond its limit, in the direction of its command.
-    found = step.wheels.friction
-    axis, sign = axis_of(found.wheels, k), _sign(found, k)
+    wheels = step.wheels.friction
+    axis, sign = axis_of(wheels.wheels, k), _sign(wheels, k)
     place = k // 4 * SIZE + k % 4
-    inverse = found.wheels[place + INVERSE]
-    terms[0] = sign * (_speed(found, k) - dot(axis, step.w)) - found.wheels[place + LARGEST]
+    inverse = wheels.wheels[place + INVERSE]
+    terms[0] = sign * (_speed(wheels, k) - dot(axis, step.w)) - wheels.wheels[place + LARGEST]
     for m in range(1, step.order + 1):
         u = four.load(step.table, row_of(step.table, m) + U)
         terms[m] = sign * (friction.term(step.wheels, k, m) * inverse
@@ -147,31 +147,31 @@ def _excess(step: Step, k: int, terms: Floats) -> None:
 def _effort(step: Step, k: int, terms: Floats) -> None:
     # Store the series of the effort that holds the speed of a wheel, in the direction of its
     # command.
-    found = step.wheels.friction
+    wheels = step.wheels.friction
     for m in range(step.order):
-        terms[m] = _sign(found, k) * (m + 1) / step.seconds * friction.term(step.wheels, k, m + 1)
-    terms[0] += _sign(found, k) * friction.resisting(found, k)
+        terms[m] = _sign(wheels, k) * (m + 1) / step.seconds * friction.term(step.wheels, k, m + 1)
+    terms[0] += _sign(wheels, k) * friction.resisting(wheels, k)
     terms[step.order] = 0.0
 
 
 @internal
 def first_event(step: Step) -> Event:
     """Return the first end of a mode in a step."""
-    found, order, terms = step.wheels.friction, step.order, scratch(MAX_ORDER + 1)
+    wheels, order, terms = step.wheels.friction, step.order, scratch(MAX_ORDER + 1)
     first, wheel = _NEVER, 0
-    for k in range(found.efforts.shape[1]):
-        if not is_limited(found, k):
+    for k in range(wheels.efforts.shape[1]):
+        if not is_limited(wheels, k):
             continue
-        command = abs(found.efforts[max(found.row, 0), k])
-        if found.states.grid[MODES + k] == HELD:
+        command = abs(wheels.efforts[max(wheels.row, 0), k])
+        if wheels.states.grid[MODES + k] == HELD:
             _effort(step, k, terms)
             root = min(_root(terms, order, 1.0, 0.0, command),
                        _root(terms, order, -1.0, command, command))
         else:
             _excess(step, k, terms)
-            sign = 1.0 if found.states.grid[MODES + k] == OVER else -1.0
+            sign = 1.0 if wheels.states.grid[MODES + k] == OVER else -1.0
             place = k // 4 * SIZE + k % 4
-            root = _root(terms, order, sign, 0.0, found.wheels[place + LARGEST])
+            root = _root(terms, order, sign, 0.0, wheels.wheels[place + LARGEST])
         if root < first:
             first, wheel = root, k
     return Event(first, wheel)
@@ -234,43 +234,43 @@ def choose(step: Step, event: Event, coefficients: Coefficients, modes: Floats) 
         The modes, which the function changes.
 
     """
-    found, order, terms = step.wheels.friction, step.order, scratch(MAX_ORDER + 1)
-    row, x, wheel = max(found.row, 0), event.fraction, event.wheel
+    wheels, order, terms = step.wheels.friction, step.order, scratch(MAX_ORDER + 1)
+    row, x, wheel = max(wheels.row, 0), event.fraction, event.wheel
     if modes[wheel] == HELD:
         _effort(step, wheel, terms)
-        modes[wheel] = OVER if _value(terms, order, x) < 0.5 * abs(found.efforts[row, wheel]) \
+        modes[wheel] = OVER if _value(terms, order, x) < 0.5 * abs(wheels.efforts[row, wheel]) \
             else FREE
         return
-    count = found.efforts.shape[1]
+    count = wheels.efforts.shape[1]
     rates, before = scratch(MOST_WHEELS), scratch(MOST_WHEELS)
     efforts, matrix = scratch(MOST_WHEELS), scratch(MOST_WHEELS * MOST_WHEELS)
     for k in range(MOST_WHEELS):
         before[k] = efforts[k] = rates[k] = 0.0
     for k in range(count):
-        if is_limited(found, k):
-            before[k] = abs(found.efforts[row, k]) if modes[k] == FREE else 0.0
+        if is_limited(wheels, k):
+            before[k] = abs(wheels.efforts[row, k]) if modes[k] == FREE else 0.0
             if modes[k] == HELD:
                 _effort(step, k, terms)
                 before[k] = _value(terms, order, x)
             efforts[k] = before[k]
             _excess(step, k, terms)
             rates[k] = _slope(terms, order, x) / step.seconds
-            size = found.wheels[k // 4 * SIZE + k % 4 + LARGEST]
+            size = wheels.wheels[k // 4 * SIZE + k % 4 + LARGEST]
             for m in range(order + 1):
                 size += abs(terms[m])
             if (k == wheel or modes[k] == HELD
                     or abs(_value(terms, order, x)) <= 4.0 * _ROUNDING * size):
                 modes[k] = UNKNOWN
-    _fill_matrix(found, coefficients, matrix)
+    _fill_matrix(wheels, coefficients, matrix)
     for _ in range(_SWEEPS):
         for i in range(count):
             if modes[i] == UNKNOWN:
                 rate = _rate(rates, matrix, efforts, before, i)
                 efforts[i] = min(max(efforts[i] - rate / matrix[MOST_WHEELS * i + i], 0.0),
-                                 abs(found.efforts[row, i]))
+                                 abs(wheels.efforts[row, i]))
     for i in range(count):
         if modes[i] == UNKNOWN:
-            command = abs(found.efforts[row, i])
+            command = abs(wheels.efforts[row, i])
             tiny = 1e-12 * matrix[MOST_WHEELS * i + i] * command
             rate, modes[i] = _rate(rates, matrix, efforts, before, i), HELD
             if efforts[i] >= command and rate < -tiny:
@@ -304,47 +304,47 @@ def _rate(rates: Floats, matrix: Floats, efforts: Floats, before: Floats, i: int
 
 
 @internal
-def _fill_matrix(found: RowFriction, coefficients: Coefficients, matrix: Floats) -> None:
+def _fill_matrix(wheels: RowFriction, coefficients: Coefficients, matrix: Floats) -> None:
     # Store the changes of the wheel speeds, rad/s^2 for each N m, in the directions of commands.
-    count = found.efforts.shape[1]
+    count = wheels.efforts.shape[1]
     for i in range(MOST_WHEELS * MOST_WHEELS):
         matrix[i] = 0.0
     for j in range(count):
         reaction = euler_equations.acceleration_from_torque(
-            coefficients, axis_of(found.wheels, j))
+            coefficients, axis_of(wheels.wheels, j))
         for i in range(count):
-            entry = dot(axis_of(found.wheels, i), reaction)
+            entry = dot(axis_of(wheels.wheels, i), reaction)
             if i == j:
-                entry += found.wheels[j // 4 * SIZE + j % 4 + INVERSE]
-            matrix[MOST_WHEELS * i + j] = _sign(found, i) * _sign(found, j) * entry
+                entry += wheels.wheels[j // 4 * SIZE + j % 4 + INVERSE]
+            matrix[MOST_WHEELS * i + j] = _sign(wheels, i) * _sign(wheels, j) * entry
 
 
 @internal
-def set_modes(found: RowFriction, modes: Floats, time_ns: int, rest: float) -> None:
+def set_modes(wheels: RowFriction, modes: Floats, time_ns: int, rest: float) -> None:
     """
     Set the modes of the wheels, and record which have changed; see `layout.Friction`.
 
     The event takes place at `rest` seconds before `time_ns`.
     """
-    grid = found.states.grid
-    for k in range(found.efforts.shape[1]):
+    grid = wheels.states.grid
+    for k in range(wheels.efforts.shape[1]):
         if grid[MODES + k] != modes[k]:
             grid[MODES + k] = modes[k]
-            _record(found, k, time_ns, rest)
+            _record(wheels, k, time_ns, rest)
 
 
 @internal
-def _record(found: RowFriction, k: int, time_ns: int, rest: float) -> None:
+def _record(wheels: RowFriction, k: int, time_ns: int, rest: float) -> None:
     # Record the mode of a wheel from `rest` seconds before a time on, if there is room.
-    events = found.states.events
+    events = wheels.states.events
     row = events[0, 0] + 1
     if row < len(events):
         events[0, 0], events[row, 0], events[row, 1] = row, time_ns, int(rest * 1e15)
-        events[row, 2], events[row, 3] = k, int(found.states.grid[MODES + k])
+        events[row, 2], events[row, 3] = k, int(wheels.states.grid[MODES + k])
 
 
 @inlined
-def is_full(found: RowFriction) -> bool:
+def is_full(wheels: RowFriction) -> bool:
     """Return whether there is room for events, but too little for those of another step."""
-    events = found.states.events
+    events = wheels.states.events
     return len(events) > 1 and events[0, 0] + MOST_WHEELS >= len(events)
