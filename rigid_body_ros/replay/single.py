@@ -22,24 +22,23 @@ far out of order, or if they contain several epochs of a node.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 import time
-from typing import Any
 
 import numpy as np
 from rigid_body_ros import recording
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import joint_commands, VECTOR3
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.recording import NotInOrderError, Reading, Source, Topics
+from rigid_body_ros.recording import Logged, NotInOrderError, Reading, Source, Topics
 from rigid_body_ros.recording.account import merged
 from rigid_body_ros.recording.problem import started, streamed, whole
 from rigid_body_ros.replay import outputs
-from rigid_body_ros.replay.batches import Batch, Batches, INPUT, Request
+from rigid_body_ros.replay.batches import Batch, Batches, Collector, INPUT, Request
 from rigid_body_ros.replay.check import drift, last_digits
 from rigid_body_ros.replay.result import Replay
 from rigid_body_ros.runtime import files, interrupts
@@ -48,15 +47,19 @@ from rigid_body_ros.scene import Scene
 
 #: The message types of all topics that a motion can depend on.
 _KINDS = (*recording.TORQUES, VECTOR3, joint_commands(()))
-#: The options of `replay` that name topics, and those that say how to read them.
-_TOPICS = 'topic', 'wheel_torque', 'wheel_momentum', 'wheel_command', 'inertia', 'columns'
-_READING = 'interpolation', 'time_source', 'start', 'until'
 #: The result and the batches of an epoch, or of a whole recording, before its motion is computed.
 Epoch = tuple[Replay, Batches]
 
 
-def replay(path: str | Path, scene: Scene, output: str | Path | None = None,
-           **options: Any) -> Replay:
+def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
+           topic: str | Sequence[str] | None = None, interpolation: str | None = None,
+           rate: float | None = None, until: float | None = None, start: float = 0.0,
+           time_source: str = 'header', also: Collection[str] = (), keep: bool | None = None,
+           wheel_torque: str | None = None, wheel_momentum: str | None = None,
+           wheel_command: str | None = None, inertia: str | None = None,
+           columns: Mapping[str, str] | None = None,
+           collect: Callable[[], Collector] | None = None,
+           logged: Logged | None = None) -> Replay:
     """
     Compute the motion of a body from the torques in a recording.
 
@@ -78,11 +81,6 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None,
         there are rotors, and the speeds and efforts of named wheels. The output must not be the
         recording or the scene file, under any name, and must not be in the folder of a bag that is
         read.
-    options
-        The keyword arguments that follow.
-
-    Other Parameters
-    ----------------
     topic : str or sequence of str, optional
         The topics whose torques are added up; by default, the torque topics of the scene. If the
         scene and the recording have only one topic each, the two topics may differ in name.
@@ -144,11 +142,13 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None,
         `start` or `until` is negative or longer than 1e9 s.
 
     """
-    outputs.check_also(options.get('also', ()), output)
-    topics = Topics.given(**_taken(options, _TOPICS))
+    outputs.check_also(also, output)
+    topics = Topics.given(topic, wheel_torque=wheel_torque, wheel_momentum=wheel_momentum,
+                          inertia=inertia, wheel_command=wheel_command, columns=columns)
     topics.check(scene)
-    reading = Reading(topics=topics, **_taken(options, _READING))
-    request = Request(path, scene, output, reading, **options)
+    reading = Reading(topics=topics, interpolation=interpolation, time_source=time_source,
+                      start=start, until=until)
+    request = Request(path, scene, output, reading, rate, also, keep, collect, logged)
     with files.reading(path, scene=scene.path), ExitStack() as stack:
         if output is not None:
             files.check((output, outputs.suffix_of(output)))
@@ -156,20 +156,14 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None,
         request = replace(request, reading=replace(reading, topics=topics))
         others = topics.wheel_momentum or topics.wheel_command or topics.inertia
         copied = None
-        if INPUT in request.also:
+        if INPUT in also:
             copied = stack.enter_context(Source(
                 path, next(iter(topics.wrenches), others), _KINDS, preferred=topics.preferred))
             copied.check_copied(outputs.topics(request))
-        if not (request.logged or request.is_kept or others or scene.actuators
-                or request.sensor_delay_ns):
+        if not (logged or request.is_kept or others or scene.actuators or request.sensor_delay_ns):
             with suppress(NotInOrderError), ExitStack() as opened:
                 return _replayed(request, partial(_pieces, request, opened), copied)
         return _replayed(request, partial(_whole, request), copied)
-
-
-def _taken(options: dict[str, Any], names: Collection[str]) -> dict[str, Any]:
-    """Take some options, if they are given, out of all options."""
-    return {name: options.pop(name) for name in names if name in options}
 
 
 def _pieces(request: Request, stack: ExitStack) -> Sequence[Epoch]:
