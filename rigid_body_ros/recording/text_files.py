@@ -130,10 +130,9 @@ class Table:
         contains the time (s), x, y, z, qx, qy, qz and qw, separated by spaces. Other lines that
         begin with # are ignored.
     groups : sequence of tuple of str
-        The quantities to read; such as `TORQUE`.
+        The quantities to read, such as `TORQUE`.
     chosen : mapping of str to str, optional
-        The columns; see `_columns_of`. They are ignored if they contain none of the
-        quantities.
+        The columns; see `_columns_of`. They are ignored if they contain none of the quantities.
 
     Attributes
     ----------
