@@ -332,17 +332,30 @@ def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
     assert drift < 1e-14
 
 
-def test_a_replay_reports_what_exceeds_the_limits_of_wheels(tmp_path):
+@pytest.fixture
+def limited(tmp_path):
+    """Return a recording whose commands drive wheels to their largest speed, and its scene."""
     path, scene_path = tmp_path / 'commands.mcap', tmp_path / 'limited.yaml'
     scene_path.write_text(SCENE.read_text().replace('600.0', '60.0'))
-    run = scene.load(scene_path)
     with recording.Writer(path) as writer:
         writer.add_topic('/wheel_command', COMMANDS)
         for second, efforts in ((1, [0.003, 0.003, NAN, NAN]), (3, [NAN, NAN, -0.02, NAN]),
                                 (4, [NAN, 0.002, 0.01, NAN]), (9, [NAN, NAN, -0.01, NAN])):
             writer.write('/wheel_command', second * SECOND,
                          COMMANDS.encode(second * SECOND, '', efforts))
-    result = replay(path, run, until=7.0)
+    return path, scene.load(scene_path)
+
+
+def test_a_motion_in_batches_has_the_wheels_of_one_in_a_piece(limited, monkeypatch):
+    whole = replay(*limited, rate=20.0, until=7.0).trajectory
+    monkeypatch.setattr('rigid_body_ros.replay.batches._LARGEST', 7)
+    parts = replay(*limited, rate=20.0, until=7.0).trajectory
+    for name in ('times_ns', 'attitude', 'wheel_speeds', 'wheel_efforts', 'rotor_momentum'):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+
+
+def test_a_replay_reports_what_exceeds_the_limits_of_wheels(limited):
+    result = replay(*limited, until=7.0)
     # The body turns, so it drives three wheels a little further; rw_skewed starts above the limit.
     speeds = abs(result.trajectory.wheel_speeds).max(axis=0)
     assert (abs(speeds[:3] - 60.0) < 0.05).all()

@@ -267,6 +267,8 @@ def _joined(batches: list[Batch]) -> Trajectory:
     parts = [batch.trajectory for batch in batches]
     motion = [*(part.attitude.ravel() for part in parts),
               *(part.angular_velocity.ravel() for part in parts)]
+    momenta = [part._momenta[:part.times_ns.size] for part in parts if part._momenta is not None]
     return replace(parts[-1], times_ns=np.concatenate([part.times_ns for part in parts]),
                    _motion=np.concatenate(motion),
-                   _parts=tuple(use for part in parts for use in part._parts))
+                   _parts=tuple(use for part in parts for use in part._parts),
+                   _momenta=np.concatenate(momenta) if momenta else None)
