@@ -141,7 +141,8 @@ class Integration(Generic[Same]):
         # A torque whose stamp is the start begins a new segment, even if this torque equals the
         # previous one.
         begins = any((log.segments(timeout_ns)[0] == start_ns).any() for log in self._sources)
-        if begins and (timeline.has_terms or (row >= 0 and timeline.acts()[row])):
+        if begins and (timeline.has_terms or (
+                row >= 0 and timeline.acts(slice(row, row + 1)).item())):
             return None
         return timeline.rule(problem.options, self._carrier, row, start_ns)
 

@@ -205,22 +205,20 @@ class Timeline:
         spans = np.append(np.diff(log.times_ns[first:stop + 1]) / 1e9, 1.0)[index]
         return Rows(times_ns, polynomials, log.in_space[samples] & in_force, spans, self._terms)
 
-    def acts(self) -> NDArray[np.bool_]:
-        """For each row, return whether any torques, rotors, damping or fields act in that row."""
+    def acts(self, which: slice = slice(None)) -> NDArray[np.bool_]:
+        """For some rows, return whether any torques, rotors, damping or fields act in each row."""
         if self._always_acts:
-            return np.ones(len(self.times_ns), np.bool_)
+            return np.ones(len(self.times_ns[which]), np.bool_)
         if self._rows is None:
-            is_torque = np.asarray(self._log.torques.any(axis=1))
-            return is_torque if self._silent is None else np.insert(
-                is_torque, self._silent + 1, False)
-        _, torques, _, _, terms = self._rows
-        parts = [torques]
+            samples = self._samples[which]
+            return np.asarray((samples >= 0) & self._log.torques[samples].any(axis=1))
+        terms, parts = self._rows.terms, [self._rows.torques[which]]
         if terms:
-            parts += [part for part in (terms.space, terms.motors) if part is not None]
+            parts += [part[which] for part in (terms.space, terms.motors) if part is not None]
             if self._has_motors:
-                parts.append(terms.momentum)
+                parts.append(terms.momentum[which])
             if terms.lags:
-                parts.append(terms.lags.excess.reshape(len(torques), -1, 3))
+                parts.append(terms.lags.excess[which].reshape(len(parts[0]), -1, 3))
         return np.asarray(np.concatenate(parts, axis=1).any(axis=(1, 2)))
 
     def momentum(self, times_ns: NDArray[np.int64]) -> Floats:
