@@ -279,8 +279,8 @@ def _half_change(w1: Vector, coefficients: Coefficients, acting: _Acting) -> Vec
 def _term(sums: Products, factor: float, latest: Vector, torque: Vector, u: Vector,
           coefficients: Coefficients, acting: _Acting) -> Vector:
     # Return the term of w that follows the latest one, from the sum of the products of the terms
-    # between w0 and the latest one. The factor is the reciprocal of the order. The torque and u
-    # are the terms that belong to the loads.
+    # between w0 and the latest one. The factor is the reciprocal of the order. The loads act
+    # through a term of the space torque, `torque`, and a term of the angular velocity, `u`.
     if acting.jacobian is None:
         sums = add_symmetric_products(sums, scale(factor, acting.u0), latest)
     w = gyroscopic_acceleration(coefficients, sums)

@@ -119,7 +119,8 @@ class History:
                  fields: NDArray[Any] | None, history_ns: int) -> None:
         self._options, self._timeout_ns = options, options.timeout_ns
         self._wheels, self._history_ns = wheels, history_ns
-        #: What acts before the start. Without lags, nothing else ever does.
+        #: The fields, and the lagging sources before the start, when nothing lags yet. Without
+        #: lags, these are the other torques of all segments.
         self._others = OtherTorques(
             fields, LaggingSources(time_constants, {}) if time_constants else None)
         #: The state of the named wheels at the start, or None if there are no named wheels.

@@ -42,7 +42,7 @@ _NOTHING = np.full((1, 3), -0.0)
 _NO_MARKS = np.empty(0, np.int64)
 #: The arrays for more rows than this share a block of memory; see `_allocated`.
 _FEW = 100
-#: What a row holds for torques of a kind that there are not; see `acts`.
+#: The parts of `Sums` for kinds of torques that do not act; see `acts`.
 _NO_TORQUE, _NO_MOMENTUM = np.zeros((1, 1, 3)), np.zeros((1, 2, 3))
 _IN_BODY, _IN_SPACE = np.array([False]), np.array([True])
 for _constant in (_NO_TORQUE, _NO_MOMENTUM, _IN_BODY, _IN_SPACE):
