@@ -18,7 +18,7 @@ from dataclasses import replace
 from functools import cache
 import json
 
-from conftest import at_night, CONFIG, RECORDINGS
+from conftest import at_night, CONFIG, memory_limit, RECORDINGS
 from measurements import truth
 import numpy as np
 import pytest
@@ -35,6 +35,7 @@ from rigid_body_ros import (
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.comparison import compare_motion
+from rigid_body_ros.inference.hypotheses import _distance, _still
 from rigid_body_ros.inference.monitor import ERROR, first_suspect, Monitor, Settings
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.mechanics import so3
@@ -245,6 +246,17 @@ def test_errors_that_the_start_explains_are_no_finding():
     assert [one.seconds for one in found.horizons] == [0.1, 1.0, 10.0]
     assert compare(body, start, measured=replace(
         measured, attitude=motion.attitude)).predictable_s is None
+
+
+def test_a_noisy_sensor_that_is_frozen_for_long_needs_little_memory():
+    phases = 1e-4 * np.arange(30_000)
+    rates = np.stack([np.sin(phases), np.cos(phases), np.sin(phases + 1.0)], axis=1)
+    measured = rates + 1e-2 * np.random.default_rng(0).normal(size=rates.shape)
+    measured[10_000:] = measured[10_000]
+    with memory_limit(20e6):
+        still = _still(measured, rates, 1e-2, _distance)
+    assert still[11_000:].all()
+    assert not still[:9_000].any()
 
 
 @pytest.mark.slow

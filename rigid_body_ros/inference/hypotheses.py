@@ -377,7 +377,8 @@ def _still(values: Floats, expected: Floats, sigma: float,
         return still
     begins = np.flatnonzero((apart(values[:-lag], values[lag:]) < _SAME * sigma)
                             & (apart(expected[:-lag], expected[lag:]) > 2.0 * _SAME * sigma))
-    still[begins[:, None] + np.arange(lag + 1)] = True
+    for begin in begins:  # one by one, since an array of all indices could take gigabytes
+        still[begin:begin + lag + 1] = True
     return still
 
 
