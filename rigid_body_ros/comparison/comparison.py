@@ -37,7 +37,14 @@ from rigid_body_ros.inference.guess import LARGEST_OFFSET
 from rigid_body_ros.inference.horizons import horizon, usual_horizons
 from rigid_body_ros.inference.hypotheses import faults_of_samples
 from rigid_body_ros.inference.monitor import is_checked, monitored, settings_of
-from rigid_body_ros.inference.motion import apart, divided, errors_of, inside, Motion, Recorded
+from rigid_body_ros.inference.motion import (
+    divided,
+    errors_of,
+    inside,
+    Motion,
+    no_overlap_error,
+    Recorded,
+)
 from rigid_body_ros.inference.noise import FEWEST, spread_of
 from rigid_body_ros.inference.residual_torque import residual_torque
 from rigid_body_ros.inference.setup import setup_of_model
@@ -168,7 +175,7 @@ def _compared(motion: Motion, measured: Sequence[Measured], align: Collection[st
     sensors = [alignment.applied(sensor) for alignment, sensor in zip(alignments, measured)]
     aligned = tuple(sensor.rows(inside(motion, sensor.stamps_ns)) for sensor in sensors)
     if not any(map(len, aligned)):
-        raise apart(motion, sensors)
+        raise no_overlap_error(motion, sensors)
     states = motion.propagate(at=np.concatenate([sensor.stamps_ns for sensor in aligned]))
     errors = tuple(Errors(sensor.topic, sensor.stamps_ns, *errors_of(sensor, part))
                    for sensor, part in zip(aligned, divided(states, aligned)))

@@ -227,8 +227,8 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
     verdict = verdict.with_reasons(_without_effect(estimates)).with_reasons(
         too_wide(estimates, dict(zip(numbers.names, numbers.scales)), accept), True)
     residuals, first = [*fitted, *ahead], setup.problems[0]
-    aligned = errors.inliers_of([part for part in residuals if not part.recording], physics,
-                                first.start.time_ns)
+    aligned = errors.measured_inliers([part for part in residuals if not part.recording], physics,
+                                      first.start.time_ns)
     last_ns = max(int(sensor.stamps_ns[-1]) for sensor in aligned)
     return Identification(
         setup.body(physics), physics.acting(first.fields),

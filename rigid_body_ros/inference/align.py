@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.inference.evidence import certainty, noises, weighted, widened
+from rigid_body_ros.inference.evidence import certainty, noises_of, weighted, widened
 from rigid_body_ros.inference.fit import Solution
 from rigid_body_ros.inference.growth import solved_whole
 from rigid_body_ros.inference.guess import guess, IDENTITY
-from rigid_body_ros.inference.motion import apart, inside, Motion, Recorded
+from rigid_body_ros.inference.motion import inside, Motion, no_overlap_error, Recorded
 from rigid_body_ros.inference.setup import setup_of_sensors
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
@@ -162,14 +162,14 @@ def align(motion: Motion, sensors: Sequence[Measured],
         channels += [replace(channel, topic=str(k)) for channel in sensor.rows(within).channels()
                      if len(channel) > 1]
     if not channels:
-        raise apart(motion, sensors)
+        raise no_overlap_error(motion, sensors)
     # Rotating the space axes has the same effect as rotating the initial attitude, so only one of
     # the two is fitted.
     if any(mount and sensor.attitude is not None for mount, sensor in zip(mounts, sensors)):
         values[SPACE] = so3.log(guesses[0][2])
     setup = setup_of_sensors(motion, channels, values, fits_start)
     solution = solved_whole(setup)
-    return _alignments(weighted(solution, noises(widened(solution))), len(sensors), motion)
+    return _alignments(weighted(solution, noises_of(widened(solution))), len(sensors), motion)
 
 
 def check_names(names: Collection[str], topics: Sequence[str] | None = None) -> None:

@@ -158,14 +158,14 @@ class Misfit:
     @classmethod
     def of(cls, residuals: Sequence[Residuals], unknowns: int) -> Misfit:
         """Compute the misfit from the errors of a fit that has the given number of unknowns."""
-        def rms(is_attitude: bool) -> float | None:
+        def component_rms(is_attitude: bool) -> float | None:
             values = np.concatenate([np.empty(0), *(part.kept.ravel() for part in residuals
                                                     if part.is_attitude == is_attitude)])
             return float(np.sqrt(np.mean(values ** 2))) if values.size else None
         inliers = np.concatenate([part.inliers for part in residuals])
         freedom = 3 * int(inliers.sum()) - unknowns
         chi2 = sum(part.chi_square(part.inliers)[0] for part in residuals)
-        return cls(len(inliers), int(np.sum(~inliers)), rms(True), rms(False),
+        return cls(len(inliers), int(np.sum(~inliers)), component_rms(True), component_rms(False),
                    chi2 / freedom if freedom > 0 else None)
 
     def as_dict(self) -> dict[str, Any]:
@@ -197,8 +197,8 @@ def _products(values: Floats, most: int) -> Floats:
     return np.asarray(np.fft.irfft(power, size, axis=0)[:most + 1])
 
 
-def inliers_of(residuals: Sequence[Residuals], physics: Physics, origin_ns: int
-               ) -> list[Measured]:
+def measured_inliers(residuals: Sequence[Residuals], physics: Physics,
+                     origin_ns: int) -> list[Measured]:
     """Return the measurements without outliers, on the torque clock and in body axes."""
     channels: dict[str, list[Residuals]] = {}
     for part in residuals:

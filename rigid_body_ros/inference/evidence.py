@@ -195,7 +195,7 @@ def linear(problem: LeastSquares) -> Linearized:
     return Linearized(problem.parameters.names, blocks, is_late)
 
 
-def noises(problem: LeastSquares) -> list[list[Noise]]:
+def noises_of(problem: LeastSquares) -> list[list[Noise]]:
     """
     Estimate the noise of each channel of each recording, relative to the weights of the fit.
 

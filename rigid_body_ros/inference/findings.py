@@ -30,21 +30,28 @@ from rigid_body_ros.inference.evidence import (
     explained,
     foresight,
     linear,
-    noises,
+    noises_of,
     solved,
     Suspect,
     widened,
     with_noise,
 )
 from rigid_body_ros.inference.fit import LeastSquares, Solution
-from rigid_body_ros.inference.growth import COARSEST, grown, is_linear, lasts, polished, rough
-from rigid_body_ros.inference.hypotheses import faults_of_outliers, undone
+from rigid_body_ros.inference.growth import (
+    COARSEST,
+    grown,
+    has_lasting_errors,
+    is_linear,
+    polished,
+    rough,
+)
+from rigid_body_ros.inference.hypotheses import fault_of_all_samples, faults_of_outliers
 from rigid_body_ros.inference.noise import ALARM, FEWEST, Noise, SMALLEST, tail
 from rigid_body_ros.inference.reasons import (
     at_rest,
     halves,
     left_by,
-    MISFIT,
+    MOST_UNEXPLAINED,
     probability,
     Reason,
     scattered,
@@ -151,8 +158,8 @@ def judged(setup: Setup, names_suspects: bool = True) -> Findings:
     """
     few = rough(setup)
     is_wrong = not at_rest(few) and (
-        lasts(few) or few.length_ns < setup.shortest_ns or not is_linear(few))
-    fault = undone(few) if is_wrong and names_suspects else None
+        has_lasting_errors(few) or few.length_ns < setup.shortest_ns or not is_linear(few))
+    fault = fault_of_all_samples(few) if is_wrong and names_suspects else None
     if fault is None:
         solution = grown(setup, few)
         findings = examined(polished(solution, *COARSEST) if setup.most else polished(solution))
@@ -172,8 +179,8 @@ def examined(solution: Solution) -> Findings:
         return Findings(solution, solution, [], [], {}, [])
     names, fitted = setup.candidates(), setup.parameters.names
     problem = widened(solution, names)
-    noise, before = noises(problem), solution
-    solution = with_noise(solution, noise)
+    noises, before = noises_of(problem), solution
+    solution = with_noise(solution, noises)
     problem = problem.weighted(solution.weights) if solution.physics is before.physics else \
         widened(solution, names)
     suspects = [*faults_of_outliers(solution), *_parameters(problem, fitted, names)]
@@ -184,8 +191,8 @@ def examined(solution: Solution) -> Findings:
     elif fitted or all(suspect.chi2_drop <= LARGE * solution.count for suspect in suspects):
         suspects += _change(solution)
     reasons, drift, _ = halves(solution)
-    reasons += tests_of(solution, noise)
-    result = Findings(solution, solution, reasons, _significant(suspects), drift, noise)
+    reasons += tests_of(solution, noises)
+    result = Findings(solution, solution, reasons, _significant(suspects), drift, noises)
     return _doubted(result, problem, names) if fitted and (reasons or result.suspects) else result
 
 
@@ -210,7 +217,7 @@ def _doubted(findings: Findings, problem: LeastSquares, names: Sequence[str]) ->
     named = {suspect.name for suspect in blunt}
     suspects += [suspect for suspect in sharp[:_SHARP] if suspect.name not in named]
     contradictions, drift, apart = halves(solution)
-    reasons = [*(Reason(text, part > MISFIT) for text, part in left_by(solution)),
+    reasons = [*(Reason(text, part > MOST_UNEXPLAINED) for text, part in left_by(solution)),
                *contradictions,
                *(reason for reason in findings.reasons if not reason.is_contradiction)]
     texts, scatter = scattered(solution)

@@ -115,12 +115,12 @@ def rough(setup: Setup) -> Solution:
     """
     guess = _guess(setup)
     few = _from_few(setup, setup.shortest_ns, guess)
-    if lasts(few) and setup.is_computed:
+    if has_lasting_errors(few) and setup.is_computed:
         closer = _from_few(setup, setup.shortest_ns // _GROWTH[0], guess)
         if not setup.parameters.size:
-            is_much_less = misfit(closer) < misfit(few) - np.log(_MUCH)
+            is_much_less = log_misfit(closer) < log_misfit(few) - np.log(_MUCH)
             return closer if is_much_less else few
-        few = min(few, _from_few(setup, setup.shortest_ns, closer.physics), key=misfit)
+        few = min(few, _from_few(setup, setup.shortest_ns, closer.physics), key=log_misfit)
     return few
 
 
@@ -140,7 +140,7 @@ def _from_few(setup: Setup, length_ns: int, guess: Physics,
     return fitted(_first(setup, few, guess), length_ns, 1e-2, most[1], windows=few)
 
 
-def lasts(solution: Solution) -> bool:
+def has_lasting_errors(solution: Solution) -> bool:
     """Return whether the errors of adjacent samples are strongly correlated in any channel."""
     for error in chain(*solution.errors):
         limit = 3.0 * median_size(error)  # so that outliers do not dominate
@@ -155,7 +155,7 @@ def is_linear(solution: Solution) -> bool:
     return max(_relative(solution)) <= _LINEAR
 
 
-def misfit(solution: Solution) -> float:
+def log_misfit(solution: Solution) -> float:
     """Return the sum of the logarithms of the errors of all channels, relative to their values."""
     return float(np.sum(np.log(np.maximum(_relative(solution), ROUNDING))))
 

@@ -34,7 +34,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.errors import of_training, Residuals
 from rigid_body_ros.inference.evidence import Suspect
 from rigid_body_ros.inference.fit import Solution
-from rigid_body_ros.inference.growth import lasts, misfit, rough, screened
+from rigid_body_ros.inference.growth import has_lasting_errors, log_misfit, rough, screened
 from rigid_body_ros.inference.guess import davenport, guess, IDENTITY, kabsch
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.inference.noise import FEWEST, spread_of, tail
@@ -72,7 +72,7 @@ _SWAPS = [np.diag(signs) @ np.eye(3)[list(order)] for order in permutations(rang
 _Hypothesis = tuple[str, str, Setup]
 
 
-def undone(few: Solution) -> Suspect | None:
+def fault_of_all_samples(few: Solution) -> Suspect | None:
     """
     Return the fault that explains why even short windows do not fit, or None.
 
@@ -80,21 +80,21 @@ def undone(few: Solution) -> Suspect | None:
     result of `rough`.
     """
     setup = few.problem.setup
-    before, tried = misfit(screened(setup)), []
+    before, tried = log_misfit(screened(setup)), []
     for fault in _faults(setup):
         try:
             after = screened(fault[2])
         except (InputError, ValueError):  # nothing is left to fit, or the motion is too fast
             continue
-        if _is_large(fault[0], after) and before - misfit(after) > math.log(
-                _MUCH if lasts(after) else _SMALLER):
-            tried.append((misfit(after), fault))
+        if _is_large(fault[0], after) and before - log_misfit(after) > math.log(
+                _MUCH if has_lasting_errors(after) else _SMALLER):
+            tried.append((log_misfit(after), fault))
     if not tried:
         return None
     least = min(size for size, _ in tried)
     name, text, best = next(fault for size, fault in tried if size <= least + math.log(_ABOUT))
     # A fit of few evaluations may have stopped too early, so fit the best fault as well as `few`.
-    if setup.parameters.size and misfit(few) - misfit(rough(best)) < math.log(_SMALLER):
+    if setup.parameters.size and log_misfit(few) - log_misfit(rough(best)) < math.log(_SMALLER):
         return None
     drop = 6.0 * min(map(len, setup.channels[0])) * (before - least)
     return Suspect(name, drop, tail(drop, 1), text=text)

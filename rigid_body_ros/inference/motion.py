@@ -230,7 +230,7 @@ def errors_of(sensor: Measured, states: Poses) -> tuple[Floats | None, Floats | 
             None if rates is None else rates - states.angular_velocity)
 
 
-def apart(motion: Motion, sensors: Sequence[Measured]) -> InputError:
+def no_overlap_error(motion: Motion, sensors: Sequence[Measured]) -> InputError:
     """Return the error to raise if the measurements and the motion do not overlap in time."""
     stamps_ns = sensors[0].stamps_ns
     return InputError(f'{sensors[0].topic}: expected measurements during the motion, which begins '

@@ -50,7 +50,7 @@ from rigid_body_ros.scene.quantities import is_of_sensor
 _BATCH = 1.0
 #: A model that leaves more than this of a channel unexplained, rad or relative to the rates, is
 #: rejected. No attitude sensor is noisier than this.
-MISFIT = 0.1
+MOST_UNEXPLAINED = 0.1
 #: Largest plausible noise of a gyro, in rad/s or, if this is more, as a fraction of the measured
 #: rates.
 _NOISIEST_RATE = 0.3
@@ -130,7 +130,7 @@ def _of_noise(solution: Solution, noises: list[list[Noise]]) -> Iterator[Reason]
     setup, every = solution.problem.setup, of_training(solution)
     for part, noise in zip(every, chain(*noises)):
         size = rms(part.kept) / np.sqrt(3.0)
-        if part.is_attitude and size > MISFIT:
+        if part.is_attitude and size > MOST_UNEXPLAINED:
             yield Reason(f'{part.topic}: attitude errors of {size:.2g} rad are not the noise of a '
                          'sensor', True)
         elif not part.is_attitude and size > _NOISIEST_RATE * max(
