@@ -18,7 +18,9 @@ Linearize a fit at its solution, to find out how much the fit would improve with
 The derivatives with respect to all parameters, whether estimated or not, form a linear
 least-squares problem with only a few rows. For each parameter that was not estimated, a *score
 test* (Rao 1948) computes how much the sum of the squared errors would drop if the parameter were
-estimated too. If the parameter has no effect, this drop follows a chi-square distribution.
+estimated too. If the parameter has no effect, this drop follows a chi-square distribution. The
+same derivatives tell which combinations of parameters the data does not determine, and for how
+long the fitted motion can be predicted.
 """
 
 from __future__ import annotations

@@ -173,7 +173,7 @@ class ThinnedTorque:
         part = changes[(changes > (times[0] if taken_ns is None else taken_ns))
                        & (changes <= end_ns)]
         grid = times if log.interpolation == 'cubic' else times[-1:]
-        at = np.unique(np.concatenate([times[:taken_ns is None], part, grid]))
+        at = np.unique(np.concatenate([times[:1 if taken_ns is None else 0], part, grid]))
         torque, in_space = log.at(at, self._timeout_ns)
         self._extremes.add(at, torque)
         self._frames |= set(np.unique(in_space).tolist())

@@ -41,8 +41,8 @@ TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
 FIELDS, WHEEL_NAMES = 'fields', 'wheel_names'
 
 
-def along(name: str, unit: str, text: str, largest: float = BIG,
-          default: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Parameter]:
+def _vector(name: str, unit: str, text: str, largest: float = BIG,
+            default: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Parameter]:
     """Return the parameters of the components of a vector or a quaternion."""
     return [Parameter(f'{name}.{axis}', value, unit, text, (-largest, largest))
             for axis, value in zip('xyzw', default)]
@@ -64,11 +64,11 @@ ACTUATOR = (
 #: field or wheel.
 NAMED = {
     FIELDS: (
-        *along(MOMENT, FIELD_MOMENT.unit, 'moment on which the field acts, body axes; for a '
-               'weight, the mass times the vector from the pivot to the centre of mass'),
-        *along(FIELD, 'm/s^2 or T', 'the field, space axes')),
+        *_vector(MOMENT, FIELD_MOMENT.unit, 'moment on which the field acts, body axes; for a '
+                 'weight, the mass times the vector from the pivot to the centre of mass'),
+        *_vector(FIELD, 'm/s^2 or T', 'the field, space axes')),
     WHEEL_NAMES: (
-        *along('axis', '', 'wheel axis, in body axes; the length of this vector has no effect'),
+        *_vector('axis', '', 'wheel axis, in body axes; the length of this vector has no effect'),
         Parameter('inertia', None, 'kg m^2', 'axial inertia of the wheel, which is included in '
                   'the inertia of the body', (TINY, BIG)),
         Parameter('initial_speed', 0.0, 'rad/s', 'initial speed of the wheel relative to the body',
@@ -91,13 +91,13 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'weld links to it; if empty, the root of the only body that has an inertia'),
     *(Parameter(name, 0.0, _DRAG.unit, _DAMPING, (0.0, BIG)) for name in _DRAG.components[:3]),
     *(Parameter(name, 0.0, _DRAG.unit, _DAMPING, (-BIG, BIG)) for name in _DRAG.components[3:]),
-    *along('initial_attitude', '', 'initial attitude quaternion, body to space',
-           default=(0.0, 0.0, 0.0, 1.0)),
-    *along('initial_angular_velocity', RATE.unit, 'initial angular velocity, body axes', 1e9),
+    *_vector('initial_attitude', '', 'initial attitude quaternion, body to space',
+             default=(0.0, 0.0, 0.0, 1.0)),
+    *_vector('initial_angular_velocity', RATE.unit, 'initial angular velocity, body axes', 1e9),
     Parameter('plausible_speed', 10.0, 'rad/s', 'initial angular speed above which the node and '
               'the commands warn that the numbers may be degrees per second', (0.0, 1e10)),
-    *along('initial_rotor_momentum', _ROTORS.unit, 'initial momentum of the rotors relative to '
-           'the body, body axes'),
+    *_vector('initial_rotor_momentum', _ROTORS.unit, 'initial momentum of the rotors relative to '
+             'the body, body axes'),
     Parameter('start_time', 0, 'ns', 'time of the initial state; 0 means the stamp of the first '
               'torque (replay, lockstep) or the first valid clock reading (realtime); a running '
               'node reports the actual time in this parameter', (0, 2 ** 31 * 10 ** 9 - 1)),
@@ -114,11 +114,11 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'the body'),
     Parameter('orbit.mean_motion', 0.0, 'rad/s', 'mean motion of a circular orbit, in which the '
               'gravity gradient exerts a torque on the body; 0 means no orbit', (0.0, BIG)),
-    *along('orbit.position', '', 'direction from the planet to the body, in space axes, at '
-           'start_time or, if start_time is 0, at the start of each epoch',
-           default=(1.0, 0.0, 0.0)),
-    *along('orbit.normal', '', 'orbit normal, about which the body revolves, space axes',
-           default=(0.0, 0.0, 1.0)),
+    *_vector('orbit.position', '', 'direction from the planet to the body, in space axes, at '
+             'start_time or, if start_time is 0, at the start of each epoch',
+             default=(1.0, 0.0, 0.0)),
+    *_vector('orbit.normal', '', 'orbit normal, about which the body revolves, space axes',
+             default=(0.0, 0.0, 1.0)),
     Parameter('inertia_topic', False, '', 'whether messages on the topic inertia change the '
               'inertia of the body'),
     Parameter('inertia_change', KEEP_RATE, '', 'what is kept when the inertia changes: keep_rate '
@@ -184,8 +184,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'angular velocity of imu/data', (0.0, 1e9)),
     Parameter('imu.gyro_random_walk', 0.0, 'rad/s^2/sqrt(Hz)', 'density of the random walk of the '
               'gyro bias in imu/data', (0.0, 1e9)),
-    *along('imu.gyro_bias', QUANTITIES['gyro_bias'].unit, 'constant bias of the angular velocity '
-           'in imu/data, body axes', 1e9),
+    *_vector('imu.gyro_bias', QUANTITIES['gyro_bias'].unit, 'constant bias of the angular '
+             'velocity in imu/data, body axes', 1e9),
     Parameter('imu.attitude_noise', 0.0, 'rad', 'standard deviation of the attitude error in '
               'imu/data, about each body axis', (0.0, math.pi)),
     Parameter('imu.delay', 0.0, 's', 'delay of imu/data: each message contains the state from '

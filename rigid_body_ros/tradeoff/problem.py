@@ -117,11 +117,15 @@ class Case:
 
     @property
     def can_interpolate(self) -> bool:
-        """Return whether all torques are in one log and one frame, and there are no actuators."""
+        """
+        Return whether all torques are in one log and one frame, and there are no actuators.
+
+        Commands to actuators are always held.
+        """
         logs = self.problem.logs
         return not self.problem.actuators and not self.torque_free \
             and len(logs) == len(self.problem.sources) == 1 \
-            and np.unique(logs[0].in_space).size == 1  # commands to actuators are always held
+            and np.unique(logs[0].in_space).size == 1
 
     def run(self, **options: Any) -> Trajectory:
         """Compute the motion with the given `Options`, raising ValueError as `propagate` does."""
