@@ -33,8 +33,8 @@ import numpy as np
 
 PATH = Path(__file__).resolve().parents[1] / 'test' / 'truth_limits.json'
 SECOND = 10 ** 9
-#: Order of the series, and the angle or the relative change of the speeds in a step.
-ORDER, STEP = 60, 0.25
+#: Order of the series.
+ORDER = 60
 #: What counts as zero.
 ROUNDING = mp.mpf(10) ** -40
 FREE, OVER, HELD = 'free', 'over', 'held'
@@ -218,9 +218,8 @@ def _times(q, w):
 def _radius(series):
     """Return a step whose truncation error is below the working precision."""
     sizes = [(max(map(abs, [*q, *w])), max(map(abs, h))) for q, w, h in zip(*series)]
-    steps = [(eps * (mp.mpf(10) ** -mp.dps * (1 + sizes[0][part])) / sizes[k][part]) ** (
-        mp.mpf(1) / k) for eps in (1,) for part in (0, 1) for k in (ORDER - 1, ORDER)
-        if sizes[k][part]]
+    steps = [(mp.mpf(10) ** -mp.dps * (1 + sizes[0][part]) / sizes[k][part]) ** (mp.mpf(1) / k)
+             for part in (0, 1) for k in (ORDER - 1, ORDER) if sizes[k][part]]
     return min([*steps, mp.mpf(1)])
 
 

@@ -140,12 +140,26 @@ def accept(friction: RowFriction | None) -> None:
 
 
 @inlined
+def continue_from(states: WheelStates | None, begins: bool) -> None:
+    """Forget the modes at the beginning of a segment: its commands may be others than before."""
+    if states is None:
+        return
+    if begins:
+        _forget_modes(states.grid)
+
+
+@inlined
 def begin_segment(states: WheelStates | None) -> None:
-    """Copy the latest wheel momenta to the grid state and to the state that begins the segment."""
+    """
+    Copy the latest wheel momenta to the grid state and to the state that begins the segment.
+
+    The modes on the grid are unknown, because the commands may change.
+    """
     if states is None:
         return
     _copy(states.latest, states.grid)
     _copy(states.latest, states.begin)
+    _forget_modes(states.grid)
 
 
 @inlined
@@ -160,6 +174,12 @@ def go_back(states: WheelStates | None) -> None:
 def _copy(source: Floats, target: Floats) -> None:
     for k in range(MOMENTA, WITH_WHEELS):
         target[k] = source[k]
+
+
+@internal
+def _forget_modes(state: Floats) -> None:
+    for k in range(MOST_WHEELS):
+        state[MODES + k] = UNKNOWN
 
 
 @inlined
@@ -445,16 +465,6 @@ def end(step: StepFriction | None, order: int, seconds: float) -> None:
 def term(step: StepFriction, k: int, order: int) -> float:
     """Return a term of the momentum of a wheel, N m s."""
     return step.series[_ORDER * order + k]
-
-
-@inlined
-def reset(states: WheelStates | None, begins: bool) -> None:
-    """Forget the modes of the wheels if a segment begins."""
-    if states is None:
-        return
-    if begins:
-        for k in range(MOST_WHEELS):
-            states.grid[MODES + k] = UNKNOWN
 
 
 @inlined

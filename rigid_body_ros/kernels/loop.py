@@ -134,6 +134,7 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
     times_ns, _, motion, closed = outputs
     row_times_ns, torques, in_space, spans, _ = rows
     table, states = scratch(WORKSPACE), intervals.wheel_states(terms)
+    friction.continue_from(states, grid_ns == begin_ns)
     coast, prepared = free_motion.start_only(begin, free_motion.NEAR_SEPARATRIX), False
     while row < stop and done < len(times_ns) and budget > 0:
         now = intervals.interval(row_times_ns, torques, spans, row)
@@ -172,7 +173,6 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
             latest = short_step.step(  # SHORT STEP
                 grid, seconds, body.coefficients, acceleration, method.tolerance, held)
         else:  # STEPS
-            friction.reset(states, grid_ns == begin_ns)
             drive = intervals.drive(now, torques, row, degree, turning, body, loads)
             grid, grid_ns, latest, arrived, budget = stepping.advance(
                 grid, grid_ns, time_ns, drive, body, method, Series(table, None), budget, loads)
