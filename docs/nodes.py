@@ -348,7 +348,7 @@ usage: attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN]
 
 ```text
 usage: attitude_regress REFERENCE --scene FILE [--update] -- COMMAND [ARGUMENT ...]
-       attitude_regress RECORDING --open-loop [--within FIELD=VALUE,...] -- COMMAND [ARGUMENT ...]
+       attitude_regress RECORDING --open-loop [--tolerance FIELD=VALUE] -- COMMAND [ARGUMENT ...]
 ```
 
 {regress}

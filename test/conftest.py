@@ -27,6 +27,7 @@ import tracemalloc
 
 from hypothesis import settings
 import numpy as np
+import psutil
 import pytest
 import rigid_body_ros
 from rigid_body_ros import messages, propagate, recording, scene, State
@@ -236,3 +237,14 @@ def fifty_digits():
     from mpmath import mp
     with mp.workdps(50):
         yield
+
+
+def running(mark):
+    """Return the other processes that still run and have a mark in their command line."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            if mark in ' '.join(process.cmdline()) and process.pid != os.getpid() \
+                    and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+    return found

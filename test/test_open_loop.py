@@ -21,9 +21,8 @@ import os
 import subprocess
 import sys
 
-from conftest import at_night, EPOCH_NS, program, SECOND
+from conftest import at_night, EPOCH_NS, program, running, SECOND
 import numpy as np
-import psutil
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from rigid_body_ros import messages, recording
@@ -32,6 +31,7 @@ from rigid_body_ros.recording.all_messages import AllMessages
 from std_msgs.msg import String
 
 pytestmark = pytest.mark.ros
+UPDATE = '--update', '--overwrite'
 COUNT, STEP_NS = 60, SECOND // 100
 STAMPS_NS = EPOCH_NS + STEP_NS * np.arange(COUNT)
 GAIN = 0.9
@@ -166,17 +166,6 @@ def run(path, *options, node=None):
                                   *(command(ESTIMATOR) if node is None else node)])
 
 
-def marked():
-    """Return the processes that a test has started and that still run."""
-    found = []
-    for process in psutil.process_iter():
-        with suppress(psutil.Error):
-            if MARK in ' '.join(process.cmdline()) and process.pid != os.getpid() \
-                    and process.status() != psutil.STATUS_ZOMBIE:
-                found.append(process)
-    return found
-
-
 def first_of(found, expected, field):
     """Return how the result names the first difference between vectors."""
     number, axis = np.argwhere(found != expected)[0]
@@ -201,7 +190,7 @@ def test_an_estimator_publishes_what_it_published(path, tmp_path, capsys):
         'result        the outputs are the same', f'fed           {COUNT} messages on /torque',
         f'compared      {COUNT} of {COUNT} messages on /momentum are the same']
     assert 'The outputs are the same' in (tmp_path / 'page.html').read_text()
-    assert not marked()
+    assert not running(MARK)
 
 
 @pytest.mark.slow
@@ -231,13 +220,13 @@ def test_one_unit_in_the_last_place_is_found_at_its_stamp_and_field(tmp_path, ca
 def test_a_tolerance_is_that_of_its_field(tmp_path, field, status):
     answers = momenta()
     answers[7, 1] = np.nextafter(answers[7, 1], 9.0)
-    assert run(write(tmp_path / 'recording.mcap', answers), '--within', field) == status
+    assert run(write(tmp_path / 'recording.mcap', answers), '--tolerance', field) == status
 
 
 @pytest.mark.slow
 def test_an_update_writes_the_outputs_of_now_and_keeps_the_rest(path, capsys):
     before, changed = AllMessages(path), math.nextafter(GAIN, 1.0)
-    assert run(path, '--update', node=command(ESTIMATOR, changed)) == 0
+    assert run(path, *UPDATE, node=command(ESTIMATOR, changed)) == 0
     after = AllMessages(path)
     assert [*after.topics] == [*before.topics]
     for topic in {*before.topics} - {'/momentum'}:
@@ -254,7 +243,7 @@ def test_an_update_writes_the_outputs_of_now_and_keeps_the_rest(path, capsys):
 
 @pytest.mark.slow
 def test_a_controller_computes_what_its_update_has_written(path, capsys):
-    assert run(path, '--update', node=command(CONTROLLER, 0.5)) == 0
+    assert run(path, *UPDATE, node=command(CONTROLLER, 0.5)) == 0
     values = recording.read(path, '/odometry', messages.ODOMETRY).values
     before, after = (-gain * values[:, 3:6] - 0.3 * values[:, 46:49]
                      for gain in (0.5, math.nextafter(0.5, 1.0)))
@@ -269,7 +258,7 @@ def test_a_controller_computes_what_its_update_has_written(path, capsys):
 @pytest.mark.slow
 def test_a_timer_follows_the_clock(path, capsys):
     timer = command(TIMER, mark=f'{MARK} clock')
-    assert run(path, '--update', '--step', '0.002', node=timer) == 0
+    assert run(path, *UPDATE, '--step', '0.002', node=timer) == 0
     values = recording.read(path, '/momentum', messages.VECTOR3).values
     assert len(values) == pytest.approx((COUNT - 1) * 10 / 4, abs=2)
     assert values[:, 0].tolist() == [*range(1, len(values) + 1)]
@@ -281,7 +270,7 @@ def test_a_timer_follows_the_clock(path, capsys):
 @pytest.mark.slow
 def test_a_node_that_is_not_reproducible_is_called_so(path, capsys):
     before = path.read_bytes()
-    for options in ([], ['--update']):
+    for options in ([], UPDATE):
         assert run(path, *options, node=command(RANDOM)) == 1
         assert 'the node is not reproducible: two runs differ from' in capsys.readouterr().err
     assert path.read_bytes() == before
@@ -308,7 +297,7 @@ def test_a_node_that_fails_is_one_line(path, capsys, node, options, line):
     assert error.splitlines()[-1].startswith('attitude_regress: error: ')
     assert line in error.splitlines()[-1]
     assert len(error.splitlines()) == 1
-    assert not marked()
+    assert not running(MARK)
 
 
 @pytest.mark.slow
@@ -326,10 +315,11 @@ def test_a_type_that_is_not_installed_matters_only_to_its_node(path, tmp_path, c
 @pytest.mark.parametrize(('options', 'line'), [
     (['--update'], "expected the command of a node after '--', found none"),
     (['--scene', 'b', '--', 'c'], '--scene: expected no --open-loop, found it'),
-    (['--tolerance', '1', '--', 'c'], '--tolerance: expected no --open-loop, found it'),
+    (['--tolerance', '1', '--', 'c'],
+     '--tolerance: expected FIELD=VALUE,... with --open-loop, found 1'),
     (['--duration', '1', '--', 'c'], '--duration: expected no --open-loop, found it'),
-    (['--within', 'a', '--', 'c'], "expected FIELD=VALUE,..., found 'a'"),
-    (['--within', 'a=-1', '--', 'c'], "expected FIELD=VALUE,..., found 'a=-1'"),
+    (['--tolerance', 'a', '--', 'c'], "expected a number from 0 to 3.15, found 'a'"),
+    (['--tolerance', 'a=-1', '--', 'c'], "expected FIELD=VALUE,..., found 'a=-1'"),
     (['--step', '0', '--', 'c'], 'expected a number from 1e-09'),
     (['--', 'c'], 'a.mcap: cannot read the recording: No such file or directory')])
 def test_mistakes(tmp_path, monkeypatch, capsys, options, line):
@@ -342,11 +332,19 @@ def test_mistakes(tmp_path, monkeypatch, capsys, options, line):
 
 @pytest.mark.parametrize(('options', 'line'), [
     ([], 'expected --scene or --open-loop, found neither'),
-    (['--scene', 'b', '--within', 'a=1'], '--within: expected --open-loop, found none'),
+    (['--scene', 'b', '--tolerance', 'a=1'],
+     '--tolerance: expected an angle without --open-loop, found FIELD=VALUE,...'),
     (['--scene', 'b', '--step', '1'], '--step: expected --open-loop, found none')])
 def test_mistakes_without_it(capsys, options, line):
     assert main.attitude_regress(['a.mcap', *options, '--', 'c']) == 2
     assert line in capsys.readouterr().err
+
+
+def test_a_recording_is_replaced_only_if_the_user_says_so(path, capsys):
+    before = path.read_bytes()
+    assert run(path, '--update') == 2
+    assert f'{path}: output exists; ' in capsys.readouterr().err
+    assert path.read_bytes() == before
 
 
 def test_what_cannot_be_fed_is_one_line(path, tmp_path, capsys):
@@ -374,7 +372,7 @@ def test_fields_are_those_of_arrays_too():
 @pytest.mark.nightly
 @pytest.mark.parametrize('node', [command(ESTIMATOR), command(CONTROLLER, 0.5)])
 def test_twenty_of_twenty_runs_are_equal(path, node):
-    assert run(path, '--update', node=node) == 0
+    assert run(path, *UPDATE, node=node) == 0
     assert [run(path, node=node) for _ in range(20)] == [0] * 20
 
 
@@ -391,4 +389,4 @@ def test_ten_runs_side_by_side_do_not_disturb_each_other(path, tmp_path):
     same, other = ({(tmp_path / f'{number}.json').read_text() for number in range(first, 10, 2)}
                    for first in (0, 1))
     assert len(same) == len(other) == 1
-    assert not marked()
+    assert not running(MARK)

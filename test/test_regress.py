@@ -25,10 +25,9 @@ import subprocess
 import sys
 import time
 
-from conftest import at_night, program, ROOT, SECOND
+from conftest import at_night, program, ROOT, running, SECOND
 import detumble
 import numpy as np
-import psutil
 import pytest
 import rclpy
 from rigid_body_ros import messages, Propagator, recording, scene
@@ -232,7 +231,7 @@ def test_a_controller_that_is_silent_or_floods_is_one_line(folder, capsys, comma
     last = capsys.readouterr().err.splitlines()[-1]
     assert f'expected the loop to end within --timeout {seconds} s, found that' in last
     assert line in last
-    assert not marked()
+    assert not running(MARK)
 
 
 def test_ctrl_c_ends_all_that_was_started(folder, tmp_path):
@@ -250,25 +249,14 @@ def test_ctrl_c_ends_all_that_was_started(folder, tmp_path):
     _, error = process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGINT
     assert error == 'attitude_regress: interrupted; no partial output was left\n'
-    assert not marked()
-
-
-def marked():
-    """Return the processes that a test has started and that still run."""
-    found = []
-    for process in psutil.process_iter():
-        with suppress(psutil.Error):
-            if MARK in ' '.join(process.cmdline()) and process.pid != os.getpid() \
-                    and process.status() != psutil.STATUS_ZOMBIE:
-                found.append(process)
-    return found
+    assert not running(MARK)
 
 
 @pytest.mark.nightly
 def test_a_controller_that_starts_from_another_program_is_ended_with_it(folder):
     command = ['sh', '-c', '"$@" & sleep ' + MARK, 'launch', *CONTROLLER]
     assert run(folder, command=command) == 0
-    assert not marked()
+    assert not running(MARK)
 
 
 @pytest.mark.nightly

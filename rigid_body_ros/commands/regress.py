@@ -85,7 +85,7 @@ def _run_open_loop(options: argparse.Namespace) -> int:
         start = partial(_open_loop_node, options.command, options.reference,
                         round(options.step * 1e9))
         loop = OpenLoop.of(recorded, options.rest, start, options.timeout, node.fields_of,
-                           options.within)
+                           options.tolerance or {})
         with private_domain():
             result = (loop.update if options.update else loop.compare)(Path(folder), node.FED)
         title = f'{Path(options.reference).name}: open loop'
@@ -110,11 +110,15 @@ def _shown(options: argparse.Namespace, result: Regression | Answer,
 def _check_open_loop(options: argparse.Namespace) -> None:
     """Raise InputError if options conflict, or if the recording cannot be replaced."""
     _check_command(options)
-    for name in ('scene', 'tolerance', 'duration'):
+    for name in ('scene', 'duration'):
         if getattr(options, name) is not None:
             raise InputError(f'--{name}: expected no --open-loop, found it')
+    if isinstance(options.tolerance, float):
+        raise InputError('--tolerance: expected FIELD=VALUE,... with --open-loop, found '
+                         f'{options.tolerance:g}')
     if options.update:
-        files.check((options.reference, _SUFFIX))
+        with files.overwriting(options.overwrite):  # the recording is the user's
+            files.check((options.reference, _SUFFIX))
 
 
 def _check_command(options: argparse.Namespace) -> None:
@@ -126,9 +130,11 @@ def _check_command(options: argparse.Namespace) -> None:
 def _check(options: argparse.Namespace) -> None:
     """Raise InputError if options conflict, or if the file to replace is not a reference."""
     _check_command(options)
-    for name in ('within', 'step'):
-        if getattr(options, name):
-            raise InputError(f'--{name}: expected --open-loop, found none')
+    if options.step:
+        raise InputError('--step: expected --open-loop, found none')
+    if isinstance(options.tolerance, dict):
+        raise InputError('--tolerance: expected an angle without --open-loop, found '
+                         'FIELD=VALUE,...')
     if not options.scene:
         raise InputError('expected --scene or --open-loop, found neither')
     if options.duration and not options.update:
@@ -158,7 +164,9 @@ def _open_loop_node(command: str, path: str, step_ns: int, _: Collection[str]) -
         raise InputError(reason(error)) from error
 
 
-def _tolerances(text: str) -> dict[str, float]:
+def _tolerance(text: str) -> float | dict[str, float]:
+    if '=' not in text:
+        return within(0.0, 3.15)(text)
     pairs = [part.rpartition('=') for part in text.split(',')]
     with suppress(ValueError):
         tolerances = {name.strip(): float(value) for name, _, value in pairs}
@@ -187,19 +195,18 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument('--open-loop', action='store_true',
                         help='feed the recording to any node, one message at a time, and compare '
                         'what it publishes with the recording')
-    parser.add_argument('--within', type=_tolerances, default={}, metavar='FIELD=VALUE,...',
-                        help='with --open-loop, accept numbers that differ by at most VALUE in a '
-                        'field, such as pose.pose.orientation or /odometry:pose (default: no bit '
-                        'may differ)')
     parser.add_argument('--step', type=positive, default=0.0, metavar='SECONDS',
                         help='with --open-loop, move /clock forward by SECONDS while no message '
                         'is due, for a node with timers (default: only with the messages)')
-    parser.add_argument('--tolerance', type=within(0.0, 3.15), metavar='RAD',
+    parser.add_argument('--tolerance', type=_tolerance, metavar='RAD|FIELD=VALUE,...',
                         help='accept attitudes that differ by at most this angle at the same '
-                        'stamps (default: no bit may differ)')
+                        'stamps or, with --open-loop, numbers that differ by at most VALUE in a '
+                        'field, such as pose.pose.orientation or /odometry:pose (default: no bit '
+                        'may differ)')
     parser.add_argument('--update', action='store_true',
                         help='run the command twice and, if both runs are the same, write or '
-                        'replace the reference')
+                        'replace the reference. With --open-loop, the outputs in the recording '
+                        'are replaced, which needs --overwrite')
     parser.add_argument('--duration', type=positive, metavar='SECONDS',
                         help='with --update, the length of the loop, measured by its stamps '
                         '(default: as long as the reference)')
