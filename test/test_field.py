@@ -44,7 +44,8 @@ from field_data import (
 from measurements import messages_of, Quaternion, TFMessage, transform, write
 import numpy as np
 import pytest
-from rigid_body_ros import Measured
+from rigid_body_ros import Measured, messages, recording
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.account import Account, SLASH
 from rigid_body_ros.recording.measurements import read_measured
@@ -442,3 +443,15 @@ def test_a_chain_with_a_missing_link_lists_the_others(run, tmp_path, topics, mes
     assert status == 2
     assert error.startswith(f'attitude_compare: error: {path}: /tf: expected ')
     assert message in error
+
+
+@pytest.mark.parametrize('data', [b'', b'\0', b'\0\1\0\0'])
+def test_a_message_of_fixed_transforms_that_is_cut_off_is_one_line(tmp_path, data):
+    path, kind = tmp_path / 'it.mcap', messages.TRANSFORM
+    with recording.Writer(path) as writer:
+        writer.add_topic('/tf', kind)
+        writer.add_topic('/tf_static', kind)
+        writer.write('/tf', SECOND, kind.encode(SECOND, 'odom', [0.0] * 6 + [1.0], 'base_link'))
+        writer.write('/tf_static', SECOND, data)
+    with pytest.raises(InputError, match='/tf_static: message 1: expected a .*TFMessage in CDR'):
+        read_measured(path, '/tf', frames=('map', 'base_link'))

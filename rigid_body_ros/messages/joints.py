@@ -58,7 +58,7 @@ def decoded_joints(data: bytes) -> JointState:
         stamp_ns, frame_id = cdr.header()
         names = tuple([cdr.text() for _ in range(cdr.count())])
         lists = [cdr.doubles(size) if (size := cdr.count()) else _NONE for _ in range(3)]
-    except (struct.error, UnicodeDecodeError, ValueError, IndexError) as error:
+    except (struct.error, UnicodeDecodeError, ValueError) as error:
         raise ValueError(f'expected a {_NAME} in CDR, found {len(data)} bytes that cannot be '
                          f'decoded ({error})') from error
     for what, numbers in zip(('position', 'velocity', 'effort'), lists):

@@ -65,6 +65,8 @@ class Cdr:
     __slots__ = '_body', '_doubles', '_length', '_offset', '_stamp'
 
     def __init__(self, data: bytes) -> None:
+        if len(data) < 4:
+            raise ValueError('no encapsulation')
         if data[0] != 0 or data[1] not in (0, 1):
             raise ValueError(f'unknown encapsulation {data[:4].hex(" ")}')
         self._body, self._offset = memoryview(data)[4:], 0
@@ -193,7 +195,7 @@ class MessageType:
         """
         try:
             return self._decode(data)
-        except (struct.error, UnicodeDecodeError, ValueError, IndexError) as error:
+        except (struct.error, UnicodeDecodeError, ValueError) as error:
             raise ValueError(f'expected a {self.name} in CDR, found {len(data)} bytes that '
                              f'cannot be decoded ({error})') from error
 

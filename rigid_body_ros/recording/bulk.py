@@ -276,7 +276,8 @@ def frame_pairs(kind: MessageType, raw: Raw) -> list[tuple[str, str]]:
         try:
             names = _names(kind, raw.message(rows[0]))
         except (ValueError, struct.error) as error:
-            raise BadMessageError(int(rows[0]), str(error)) from error
+            raise BadMessageError(int(rows[0]), f'expected a {kind.name} in CDR, found '
+                                  f'undecodable bytes ({error})') from error
         pairs |= dict.fromkeys(names)
         alike = raw.sizes[rows] == raw.sizes[rows[0]]
         if names:

@@ -208,11 +208,15 @@ class Source:
 
     def pairs(self) -> list[tuple[str, str]]:
         """Return the pairs of frame_id and child_frame_id on a topic of transforms."""
-        pairs: dict[tuple[str, str], None] = {}
+        pairs, number = dict[tuple[str, str], None](), 0
         for file in self._with_topic:
             for raw in file.read(self.topic, self._encoding):
-                plain = self._decompressed(raw, self.topic, 0)
-                pairs |= dict.fromkeys(bulk.frame_pairs(self.kind, plain))
+                plain = self._decompressed(raw, self.topic, number)
+                try:
+                    pairs |= dict.fromkeys(bulk.frame_pairs(self.kind, plain))
+                except bulk.BadMessageError as error:
+                    raise self._error(error, self.topic, number) from error
+                number += len(raw.starts)
         return [*pairs]
 
     def check_copied(self, topics: Collection[str]) -> None:
