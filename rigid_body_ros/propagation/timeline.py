@@ -47,7 +47,7 @@ class OtherTorques(NamedTuple):
     fields: NDArray[Any] | None = None
     #: The sources whose torques lag behind the commands in the logs.
     lagging: LaggingSources | None = None
-    #: The wheels with friction.
+    #: The wheels with friction or a largest speed.
     wheels: WheelTimeline | None = None
 
 
@@ -257,7 +257,7 @@ def rows_of(sums: Sums, momentum: Floats, has_terms: bool, has_motors: bool,
     has_terms, has_motors : bool
         Whether there are rotors, damping or fields, and whether torques on the rotors.
     others, friction
-        The other torques, and the wheels with friction as the kernels need them.
+        The other torques, and the wheels that depend on the motion; see `layout.Friction`.
 
     """
     spans, terms = NO_SPANS, None
