@@ -179,9 +179,10 @@ def _arguments(defaults: Mapping[str, str]) -> list[DeclareLaunchArgument]:
         argument('use_sim_time', _AS_IN_SCENE, 'whether the time of the node follows /clock '
                  '(default: as in the scene or in the launch file that includes this one)',
                  (_AS_IN_SCENE, *_FLAG)),
-        argument('mode', _AS_IN_SCENE, 'realtime, to publish the motion in real time, or '
-                 'lockstep, to reply to each torque (default: as in the scene)',
-                 (_AS_IN_SCENE, 'realtime', 'lockstep')),
+        argument('mode', _AS_IN_SCENE, 'realtime, to publish the motion in real time, '
+                 'lockstep, to reply to each torque, or clock, to publish /clock as well '
+                 '(default: as in the scene)',
+                 (_AS_IN_SCENE, 'realtime', 'lockstep', 'clock')),
         argument('publish_rate', _AS_IN_SCENE, 'rate at which the node publishes the motion, '
                  'Hz (default: as in the scene)'),
         argument('checkpoint', _AS_IN_SCENE, 'parameter checkpoint of the node: a file that no '

@@ -270,11 +270,12 @@ def state_of(listener):
     return response(listener, GetState, '/attitude_node/get_state').current_state.label
 
 
-def test_parameters_of_the_node_are_arguments(listener):
-    with launched('attitude_node', 'scene:=tumbler', 'mode:=lockstep', 'publish_rate:=7',
+@pytest.mark.parametrize('mode', ['clock', *at_night('lockstep', 'realtime')])
+def test_parameters_of_the_node_are_arguments(listener, mode):
+    with launched('attitude_node', 'scene:=tumbler', f'mode:={mode}', 'publish_rate:=7',
                   'frame_prefix:=1') as process:
         assert values_of(listener, '/attitude_node', 'mode', 'publish_rate', 'frame_prefix') == [
-            'lockstep', 7.0, '1']
+            mode, 7.0, '1']
         words, status = interrupt(process)
     assert status == 0, words
 
