@@ -20,14 +20,14 @@ There are two versions of the node: the plain node in `attitude_node`, and the m
 together. `process` runs a node as a command.
 
 `parameters` reads the scene, `sources` lists the topics to read, and `intake` receives messages,
-for `attitude_monitor`, too. `clocks` compares stamps with clocks. `mode`
-applies the torques in short slices of work. Its subclasses in `realtime`, `clock_mode` and
-`lockstep` decide which torques to accept, and when to publish a state. `outputs` publishes the
-states and the log, and `diagnostics` reports problems. Work that does not need ROS is done in the
-package `live`.
+for `attitude_monitor`, too. `clocks` compares stamps with clocks. `mode` applies the torques in
+short slices of work. Its subclasses in `realtime`, `clock_mode` and `lockstep` decide which
+torques to accept, and when to publish a state. `outputs` publishes the states and the log, and
+`diagnostics` reports problems. Work that does not need ROS is done in the package `live`.
 
-`attitude_controller` is an example of a controller for lockstep mode. `recorded` provides the node
-that `attitude_regress` uses, which runs in lockstep and keeps its own log.
+`attitude_controller` is an example of a controller for lockstep mode. `attitude_regress` uses two
+modules: `recorded` runs the node in lockstep and keeps its log, and `open_loop` feeds recorded
+messages to any other node.
 """
 
 from importlib import import_module
