@@ -347,11 +347,14 @@ def limited(tmp_path):
 
 
 def test_a_motion_in_batches_has_the_wheels_of_one_in_a_piece(limited, monkeypatch):
-    whole = replay(*limited, rate=20.0, until=7.0).trajectory
+    whole = replay(*limited, rate=20.0, until=7.0)
     monkeypatch.setattr('rigid_body_ros.replay.batches._LARGEST', 7)
-    parts = replay(*limited, rate=20.0, until=7.0).trajectory
+    parts = replay(*limited, rate=20.0, until=7.0)
     for name in ('times_ns', 'attitude', 'wheel_speeds', 'wheel_efforts', 'rotor_momentum'):
-        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+        np.testing.assert_array_equal(getattr(parts.trajectory, name),
+                                      getattr(whole.trajectory, name))
+    assert parts.trajectory.at_limit == whole.trajectory.at_limit
+    assert parts.warnings == whole.warnings
 
 
 def test_a_replay_reports_what_exceeds_the_limits_of_wheels(limited):

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from typing import Any, Generic
 
 import numpy as np
@@ -73,6 +73,8 @@ class Integration(Generic[Same]):
             self._wheels = self._wheels_from(axial, start, -NEVER_NS)
         self._start = start
         has_rotors = start._has_rotors or problem.is_coupled
+        #: When wheels have reached or left their largest speed since the timeline began.
+        self._events = list[Ints]()
         self._timeline = self._timeline_from(
             start.time_ns, start._rotors if has_rotors else None)
         self._progress, self._is_begun = self._begin(), False
@@ -164,7 +166,7 @@ class Integration(Generic[Same]):
 
     def _continue(self, wheels: WheelTimeline | None) -> None:
         """Continue the motion with a new timeline."""
-        momentum, self._wheels = self._momentum(), wheels
+        momentum, self._wheels, self._events = self._momentum(), wheels, []
         self._timeline = self._timeline_from(self._end_ns, momentum)
         self._progress['row'], self._is_begun = self._timeline.in_force(self._end_ns), True
 
@@ -245,10 +247,10 @@ class Integration(Generic[Same]):
                 times_ns, end_ns = np.append(times_ns, until_ns), until_ns
         order = layout.IN_ORDER if ascends else np.argsort(times_ns, kind='stable')
         motion = motion_layout.allocate(times_ns.size)
-        closed, momenta, events = self._fill(times_ns, order, motion, stop)
+        closed, momenta = self._fill(times_ns, order, motion, stop)
         self._end_ns = end_ns
         usage = SolverUsage(self._body, self.problem.options, self._timeline, begin_ns,
-                            end_ns, closed, self._wheels, events)
+                            end_ns, closed, self._wheels, tuple(self._events))
         if times_ns.size > count:
             times_ns = times_ns[:count]
         return Trajectory(times_ns, motion, (usage,), momenta)
@@ -258,17 +260,16 @@ class Integration(Generic[Same]):
         return self._timeline.momentum(times_ns)[:, 0]
 
     def _fill(self, times_ns: NDArray[np.int64], order: NDArray[np.intp], motion: Floats,
-              stop: int) -> tuple[NDArray[np.bool_], Floats | None, Sequence[Ints]]:
+              stop: int) -> tuple[NDArray[np.bool_], Floats | None]:
         """
         Compute the motion at the given times, but not beyond the beginning of the row `stop`.
 
-        The method returns `SolverUsage.closed`, `Trajectory._momenta` and `SolverUsage.events`.
+        The method returns `SolverUsage.closed` and `Trajectory._momenta`.
         """
         closed = np.zeros(len(self._timeline.times_ns) + 1, np.bool_)
         progress, problem = self._progress, self.problem
-        events = list[Ints]()
         if not times_ns.size:
-            return closed, None, events
+            return closed, None
         momenta: Floats | None = None
         friction: Friction | None = None
         if self._is_begun:
@@ -289,12 +290,12 @@ class Integration(Generic[Same]):
                 if result == layout.TOO_FAST:
                     raise problem.options.too_fast(int(progress['grid_ns'][0]))
                 if friction:
-                    events.append(_taken(friction))
+                    self._take(friction)
             if first:
                 progress['row'] += first
         self._is_begun = True
         if friction:
-            events.append(_taken(friction))
+            self._take(friction)
         if stop < len(closed) - 1 and (done := int(progress['done'][0])) < times_ns.size:
             # The remaining outputs are at the end of the piece, so they get the state of the last
             # grid point.
@@ -306,11 +307,10 @@ class Integration(Generic[Same]):
                 count = momenta.shape[1] // 2
                 momenta[again] = np.append(state_layout.momenta(grid)[0, :count],
                                            state_layout.efforts(grid)[:count])
-        return closed, momenta, events
+        return closed, momenta
 
-
-def _taken(friction: Friction) -> Ints:
-    """Return the events that the loop has recorded, and empty its list."""
-    count = int(friction.events[0, 0])
-    friction.events[0, 0] = 0
-    return friction.events[1:1 + count].copy()
+    def _take(self, friction: Friction) -> None:
+        """Store the events that the loop has recorded, and empty its list."""
+        if count := int(friction.events[0, 0]):
+            self._events.append(friction.events[1:1 + count].copy())
+        friction.events[0, 0] = 0

@@ -67,7 +67,8 @@ class SolverUsage(NamedTuple):
     closed: NDArray[np.bool_]
     #: The named wheels, or None if there are none.
     wheels: WheelTimeline | None = None
-    #: When wheels reach or leave their largest speed; see `layout.Friction`.
+    #: When wheels reach or leave their largest speed, from the beginning of the timeline; see
+    #: `layout.Friction`.
     events: Sequence[Ints] = ()
 
     def models(self) -> tuple[Model, ...]:
@@ -136,9 +137,12 @@ def at_limit(parts: Sequence[SolverUsage]) -> tuple[AtLimit, ...]:
                 end_ns, end = row_ns, 0.0
                 if following is not None and following[0] <= row_ns:
                     end_ns, end = int(following[0]), -int(following[1]) * 1e-6
-                if mode != FREE:
+                if time_ns <= part.start_ns:  # the wheel was there before
+                    time_ns, rest = part.start_ns, 0
+                begin = -rest * 1e-6
+                if mode != FREE and (end_ns, end) >= (time_ns, begin):
                     _add(spans.setdefault(number, []),
-                         AtLimit(name, time_ns, -rest * 1e-6, end_ns, end))
+                         AtLimit(name, time_ns, begin, end_ns, end))
     return tuple(sorted((span for some in spans.values() for span in some),
                         key=lambda span: (span.begin_ns, span.begin_fraction)))
 
