@@ -101,14 +101,11 @@ class LiveSession:
         self.diagnostics = []
 
     def __enter__(self):
-        # A pipe that is not read blocks the node after 64 KiB.
-        self._stderr = tempfile.TemporaryFile()
-        self.process = subprocess.Popen(self.command, env=self.environment, stderr=self._stderr)
         os.environ.update(_LOCAL)
         self._context = rclpy.Context()
-        rclpy.init(context=self._context, domain_id=self._domain)
-        self.node = rclpy.create_node('live_session', context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        # A pipe that is not read blocks the node after 64 KiB.
+        self._stderr = tempfile.TemporaryFile()
+        self._start()
         self._executor.add_node(self.node)
         try:
             self._connect()
@@ -118,6 +115,13 @@ class LiveSession:
             self.__exit__(type(error), error, None)
             raise
         return self
+
+    def _start(self):
+        """Start the node, and create the recorder and its executor."""
+        self.process = subprocess.Popen(self.command, env=self.environment, stderr=self._stderr)
+        rclpy.init(context=self._context, domain_id=self._domain)
+        self.node = rclpy.create_node('live_session', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
 
     def _connect(self):
         self._torque = self.node.create_publisher(WrenchStamped, self.topic, 100_000)
@@ -138,6 +142,14 @@ class LiveSession:
             self.wait_until(lambda: self.received[ATTITUDE], 'the first attitude')
 
     def __exit__(self, kind, error, trace):
+        self._end(kind)
+        self._stderr.close()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def _end(self, kind):
+        """End the node; `kind` is the type of the exception that ends the session, or None."""
         if kind is KeyboardInterrupt:  # Fast DDS may crash if a process is killed as it ends
             self.process.send_signal(signal.SIGINT)
             with suppress(subprocess.TimeoutExpired):
@@ -145,10 +157,9 @@ class LiveSession:
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
-        self._stderr.close()
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self._context)
+
+    def _has_failed(self):
+        return self.process.poll() not in (None, 0)
 
     def publish(self, time_ns, frame_id, torque):
         """Publish a torque, N m, with the stamp time_ns."""
@@ -215,10 +226,10 @@ class LiveSession:
         """Receive messages until a condition holds."""
         until = time.monotonic() + _PATIENCE_S
         while not condition():
-            if self.process.poll() not in (None, 0) or time.monotonic() > until:
+            if self._has_failed() or time.monotonic() > until:
                 raise RuntimeError(f'expected {what}, which did not happen; log of the node:\n'
                                    f'{self.words()}')
-            self.spin(0.05)
+            self.spin(0.02)
 
     def wait_for_torques(self, count):
         """Receive messages until the node has applied or rejected this many torques."""
@@ -260,10 +271,14 @@ class LiveSession:
         """Stop the node with a signal, receive its last messages, return its exit status."""
         self.process.send_signal(number)
         self.wait_until(lambda: self.process.poll() is not None, 'the node to end')
+        self._receive_all(0.3)
+        return self.process.returncode
+
+    def _receive_all(self, seconds):
+        """Receive messages until none arrives for some seconds."""
         count = -1
         while count != (count := sum(map(len, self.received.values()))):
-            self.spin(0.3)
-        return self.process.returncode
+            self.spin(seconds)
 
     def restart(self):
         """Kill the node as if it crashed, start it again, and wait for its start state."""

@@ -111,9 +111,9 @@ def locked(path):
         yield
 
 
-@pytest.fixture
+@pytest.fixture(scope='session')
 def domain():
-    """Yield a ROS domain that no other test on this machine uses at the same time."""
+    """Yield a ROS domain that no other process of tests on this machine uses."""
     with ExitStack() as stack:
         for number in range(1, 101):
             path = Path(tempfile.gettempdir()) / f'rigid_body_ros.{number}.lock'

@@ -14,15 +14,19 @@
 
 """Helpers for the tests of the node."""
 
+import os
 import time
 from typing import NamedTuple
 
 from conftest import CONFIG, SECOND
-from live_session import ACCEPTED, COMMITTED
+from live_session import ACCEPTED, COMMITTED, LiveSession
 import numpy as np
 from rcl_interfaces.srv import GetParameters, SetParameters
+import rclpy
 from rclpy.parameter import Parameter
 from rigid_body_ros import messages, recording, scene
+from rigid_body_ros.node import AttitudeNode
+from rigid_body_ros.node.process import executor_of
 from rigid_body_ros.replay.verify import verify
 
 TUMBLER = CONFIG / 'tumbler.yaml'
@@ -30,6 +34,63 @@ TUMBLER = CONFIG / 'tumbler.yaml'
 PATIENT = ('-p', 'history:=60.0', '-p', 'max_future:=59.5')
 #: s; how long to wait for anything.
 PATIENCE = 300.0
+
+
+class Session(LiveSession):
+    """
+    A session whose node runs in this process, in one executor with the recorder.
+
+    It starts in 0.1 s instead of seconds. What depends on the process, such as signals and exit
+    statuses, needs a `LiveSession`.
+
+    Attributes
+    ----------
+    kind : type
+        The class of the node.
+    tested : rclpy.node.Node
+        The node.
+
+    """
+
+    kind = AttitudeNode
+
+    def _start(self):
+        rclpy.init(args=self.command[self.command.index('--ros-args'):], context=self._context,
+                   domain_id=self._domain)
+        self.node = rclpy.create_node('live_session', context=self._context,
+                                      use_global_arguments=False)
+        self._executor = executor_of(self._context)
+        self._stderr_before = os.dup(2)
+        os.dup2(self._stderr.fileno(), 2)  # the log of the node
+        try:
+            self.tested = self.kind(context=self._context)
+        except BaseException:
+            self._restore_stderr()
+            raise
+        self._executor.add_node(self.tested)
+
+    def _end(self, kind):
+        self._destroy()
+        self._restore_stderr()
+
+    def _restore_stderr(self):
+        os.dup2(self._stderr_before, 2)
+        os.close(self._stderr_before)
+
+    def _has_failed(self):
+        return False
+
+    def _destroy(self):
+        if self.tested:
+            self._executor.remove_node(self.tested)
+            self.tested.destroy_node()
+        self.tested = None
+
+    def stop(self):
+        """Destroy the node, receive its last messages, return 0."""
+        self._destroy()
+        self._receive_all(0.02)
+        return 0
 
 
 def decoded(live, topic, kind):
