@@ -25,6 +25,10 @@ from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
 
 TUMBLER = CONFIG / 'tumbler.yaml'
+#: 1 kB of YAML that would expand to 10^9 values.
+LAUGHS = 'a: &a [x,x,x,x,x,x,x,x,x,x]\n' + ''.join(
+    f'{name}: &{name} [{",".join(9 * [f"*{before}"])}]\n' for before, name in zip('abcdefgh',
+                                                                                  'bcdefghi'))
 # Compile the functions that read messages now, so that the limits do not apply to it.
 recording.read(RECORDINGS / 'tumbler.mcap')
 

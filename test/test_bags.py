@@ -42,14 +42,12 @@ MIXED = bags.torques(frames=['base_link', 'world'], seed=2)
 SENT = {'alone': traffic(ALONE), 'others': traffic(MIXED, others=True)}
 RECORDED = {'alone': ALONE, 'others': MIXED}
 #: Number of examples; a nightly run sets 10 000.
-EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '300'))
+EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '160'))
 #: Records that messages are read from.
 WITH_MESSAGES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
 
-every_form = pytest.mark.parametrize('form', FORMS)
 #: Forms in which each message has two times.
 MCAP = [form for form in FORMS if form.startswith(('mcap', 'ros2-'))]
-every_traffic = pytest.mark.parametrize('sent', SENT)
 
 
 def read(path, **options):
@@ -88,90 +86,53 @@ def outcome(path):
 
 
 @pytest.mark.slow
-@every_form
-@every_traffic
+@pytest.mark.parametrize('form', FORMS)
+@pytest.mark.parametrize('sent', SENT)
 def test_every_form_is_read_to_the_last_bit(tmp_path, form, sent):
-    path = FORMS[form](tmp_path, SENT[sent])
+    path, recorded = FORMS[form](tmp_path, SENT[sent]), RECORDED[sent]
     before = {file: file.read_bytes() for file in tmp_path.rglob('*') if file.is_file()}
-    assert read_whole(path).rows() == RECORDED[sent].rows()
+    assert read_whole(path).rows() == recorded.rows()
     assert {file: file.read_bytes() for file in before} == before
+    if sent == 'alone':
+        return
+    for source, later in (('log', LOGGED), *([('publish', PUBLISHED)] * (form in MCAP))):
+        found = read_whole(path, time_source=source)
+        np.testing.assert_array_equal(found.stamps_ns, recorded.stamps_ns + later)
+        assert found.frame_ids == recorded.frame_ids
+    if form in MCAP:
+        assert bags.read_by_mcap(path).rows() == recorded.rows()
+    if form not in bags.UNREAD:
+        found, log_ns = bags.read_by_rosbags(path)
+        assert found.rows() == recorded.rows()
+        np.testing.assert_array_equal(log_ns, recorded.stamps_ns + LOGGED)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('form', [form for form in FORMS if form not in bags.UNREAD])
-def test_rosbags_reads_the_same(tmp_path, form):
-    found, log_ns = bags.read_by_rosbags(FORMS[form](tmp_path, SENT['others']))
-    assert found.rows() == MIXED.rows()
-    np.testing.assert_array_equal(log_ns, MIXED.stamps_ns + LOGGED)
-
-
-@pytest.mark.parametrize('form', MCAP)
-def test_mcap_reads_the_same(tmp_path, form):
-    assert bags.read_by_mcap(FORMS[form](tmp_path, SENT['others'])).rows() == MIXED.rows()
-
-
-@pytest.mark.slow
-@every_form
-def test_times_are_those_of_the_log_where_wanted(tmp_path, form):
-    path = FORMS[form](tmp_path, SENT['others'])
-    found = read_whole(path, time_source='log')
-    np.testing.assert_array_equal(found.stamps_ns, MIXED.stamps_ns + LOGGED)
-    assert found.frame_ids == MIXED.frame_ids
-
-
-@pytest.mark.parametrize('form', MCAP)
-def test_times_are_those_of_the_publisher_where_wanted(tmp_path, form):
-    path = FORMS[form](tmp_path, SENT['others'])
-    found = read_whole(path, time_source='publish')
-    np.testing.assert_array_equal(found.stamps_ns, MIXED.stamps_ns + PUBLISHED)
-
-
-SOME = ['mcap-zstd', 'mcap-none-unchunked-unindexed', 'mcap-big-endian', 'mcap-dirty',
-        'ros2-support', 'ours', 'rosbag2-mcap-message', 'split-sqlite3', 'bare-sqlite3']
-some_forms = pytest.mark.parametrize('form', SOME)
-
-
-@pytest.mark.slow
-@some_forms
-def test_frames_may_have_any_length(tmp_path, form):
-    recorded = bags.torques(frames=bags.FRAMES, seed=3)
-    assert read_whole(FORMS[form](tmp_path, traffic(recorded))).rows() == recorded.rows()
-
-
-@pytest.mark.slow
-@some_forms
-def test_messages_are_in_the_order_of_the_file(tmp_path, form):
-    recorded = ALONE[np.random.default_rng(4).permutation(200)]
-    assert read_whole(FORMS[form](tmp_path, traffic(recorded))).rows() == recorded.rows()
-
-
-@pytest.mark.slow
-@some_forms
-def test_a_second_topic_has_to_be_told_from_the_first(tmp_path, form):
-    both = [*traffic(ALONE, '/left'), *traffic(MIXED, '/right')]
-    path = FORMS[form](tmp_path, sorted(both, key=lambda one: one.stamp_ns))
-    assert read_whole(path, topic='/left').rows() == ALONE.rows()
-    assert read_whole(path, topic='/right').rows() == MIXED.rows()
-    with pytest.raises(InputError, match='found /left .*, /right .*; choose one with --topic'):
+@pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-none-unchunked-unindexed', 'mcap-big-endian',
+                                  'mcap-dirty', 'rosbag2-mcap-message', 'bare-sqlite3'])
+def test_topics_are_told_apart_in_the_order_of_the_file_whatever_their_frames(tmp_path, form):
+    left = bags.torques(frames=bags.FRAMES, seed=3)
+    left, right = left[np.random.default_rng(4).permutation(200)], MIXED
+    both = zip(traffic(left, '/left'), traffic(right, '/right'))
+    path = FORMS[form](tmp_path, [one for pair in both for one in pair])
+    assert read_whole(path, topic='/left').rows() == left.rows()
+    assert read_whole(path, topic='/right').rows() == right.rows()
+    with pytest.raises(InputError, match=re.escape(
+            'found /left (geometry_msgs/msg/WrenchStamped), /right '
+            '(geometry_msgs/msg/WrenchStamped); choose one with --topic')):
         recording.read(path)
 
 
-@pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-none-unchunked-unindexed', 'ros2-support',
-                                  'rosbag2-mcap-message', 'bare-sqlite3'])
-@pytest.mark.parametrize('time_source', ['header', 'log'])
-def test_a_wrench_without_a_header_has_the_time_of_the_log(tmp_path, form, time_source):
+@pytest.mark.parametrize(('form', 'time_source', 'later'), [
+    ('mcap-zstd', 'header', LOGGED), ('rosbag2-mcap-message', 'header', LOGGED),
+    ('bare-sqlite3', 'log', LOGGED), ('mcap-none-unchunked-unindexed', 'log', LOGGED),
+    ('mcap-idl', 'publish', PUBLISHED)])
+def test_a_wrench_without_a_header_has_a_time_of_the_recording(tmp_path, form, time_source, later):
     path = FORMS[form](tmp_path, traffic(MIXED, others=True, header=False))
-    expected = Torques(MIXED.stamps_ns + LOGGED, [''] * 200, MIXED.values)
+    expected = Torques(MIXED.stamps_ns + later, [''] * 200, MIXED.values)
     assert read_whole(path, time_source=time_source).rows() == expected.rows()
 
 
-def test_a_wrench_without_a_header_has_the_time_of_its_publisher_where_wanted(tmp_path):
-    path = mcap(tmp_path, traffic(ALONE, header=False), encoding='ros2idl')
-    found = read_whole(path, time_source='publish')
-    np.testing.assert_array_equal(found.stamps_ns, ALONE.stamps_ns + PUBLISHED)
-
-
-@pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-zstd-unindexed', 'bare-sqlite3'])
+@pytest.mark.parametrize('form', ['mcap-zstd-unindexed', 'bare-sqlite3'])
 def test_other_topics_alone_are_no_torques(tmp_path, form):
     path = FORMS[form](tmp_path, [one for one in SENT['others'] if one.topic != '/torque'])
     with pytest.raises(InputError, match='found /chatter .std_msgs/msg/String., /imu '):
@@ -180,39 +141,22 @@ def test_other_topics_alone_are_no_torques(tmp_path, form):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('options', [{}, UNINDEXED], ids=['indexed', 'unindexed'])
-@pytest.mark.parametrize('cut', range(20))
-@every_traffic
-def test_of_a_truncated_file_all_whole_chunks_are_read(tmp_path, sent, options, cut):
-    path = mcap(tmp_path, SENT[sent], compression=CompressionType.ZSTD, **options)
+@pytest.mark.parametrize('chunked', [True, False], ids=['chunked', 'unchunked'])
+def test_of_a_truncated_file_all_whole_chunks_or_messages_are_read(tmp_path, chunked, options):
+    path = mcap(tmp_path, SENT['others'], use_chunking=chunked, compression=CompressionType.ZSTD,
+                **options)
     data = path.read_bytes()
-    end = len(data) * (2 * cut + 1) // 40
-    check_truncated(path, data, end, RECORDED[sent])
+    code = Opcode.CHUNK if chunked else Opcode.MESSAGE
+    ends = [end for opcode, _, end in records(data) if opcode == code]
+    whole = ends[len(ends) * 2 // 3]
+    for end in (*(len(data) * part // 16 for part in range(1, 16, 2)),
+                *(whole + beyond for beyond in (-1, 0, 1, 8, 9, 10, 40))):
+        check_truncated(path, data, end, MIXED)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('options', [{}, UNINDEXED], ids=['indexed', 'unindexed'])
-@pytest.mark.parametrize('cut', range(20))
-@every_traffic
-def test_of_a_truncated_file_without_chunks_all_messages_are_read(tmp_path, sent, options, cut):
-    path = mcap(tmp_path, SENT[sent], use_chunking=False, **options)
-    data = path.read_bytes()
-    end = len(data) * (2 * cut + 1) // 40
-    check_truncated(path, data, end, RECORDED[sent])
-
-
-@pytest.mark.parametrize(('chunked', 'opcode'), [(True, Opcode.CHUNK), (False, Opcode.MESSAGE)],
-                         ids=['chunked', 'unchunked'])
-@pytest.mark.parametrize('beyond', [-1, 0, 1, 8, 9, 10, 40])
-def test_a_file_may_be_cut_at_the_end_of_a_record(tmp_path, chunked, opcode, beyond):
-    path = mcap(tmp_path, SENT['others'], use_chunking=chunked)
-    data = path.read_bytes()
-    ends = [end for code, _, end in records(data) if code == opcode]
-    check_truncated(path, data, ends[len(ends) * 2 // 3] + beyond, MIXED)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-lz4', 'mcap-none', 'mcap-none-unchunked'])
-@pytest.mark.parametrize('share', [0.2, 0.5, 0.99])
+@pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-none-unchunked'])
+@pytest.mark.parametrize('share', [0.2, 0.99])
 def test_zeros_that_a_crash_left_at_the_end_are_damage(tmp_path, form, share):
     path = FORMS[form](tmp_path, SENT['others'])
     data = path.read_bytes()
@@ -272,9 +216,10 @@ def test_of_a_damaged_chunk_nothing_is_used_but_all_before_it(tmp_path, compress
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
-@pytest.mark.parametrize('compression', ['NONE', 'MESSAGE', 'FILE'])
-@pytest.mark.parametrize('harm', ['cut', 'emptied', 'removed'])
+@pytest.mark.parametrize(('storage', 'compression', 'harm'), [
+    ('MCAP', 'NONE', 'cut'), ('MCAP', 'MESSAGE', 'emptied'), ('MCAP', 'FILE', 'removed'),
+    ('SQLITE3', 'NONE', 'removed'), ('SQLITE3', 'MESSAGE', 'cut'), ('SQLITE3', 'FILE', 'emptied'),
+    ('MCAP', 'FILE', 'cut'), ('SQLITE3', 'FILE', 'cut')])
 def test_of_split_files_those_before_the_damage_are_read(tmp_path, storage, compression, harm):
     bag = bags.split(tmp_path, SENT['alone'], storage=storage, compression=compression, parts=4)
     part, = bag.glob('bag_2.*')
@@ -307,8 +252,8 @@ def test_a_file_may_grow_while_it_is_read(tmp_path, form, begun):
 
 
 @pytest.mark.parametrize('text', [
-    '', 'x', '[]', '\0', '{', pytest.param('[' * 5000, id='deep'),
-    'rosbag2_bagfile_information: 3', 'rosbag2_bagfile_information: {version: 99}',
+    '', '[]', '\0', '{', 'rosbag2_bagfile_information: 3',
+    'rosbag2_bagfile_information: {version: 99}',
     '!!python/object/apply:os.abort []', 'a: &a [1, *a]'])
 def test_a_description_that_is_none_is_told(tmp_path, text):
     bag = bags.rosbag2(tmp_path, SENT['alone'])
@@ -339,9 +284,8 @@ def test_compressed_messages_without_their_description_are_read_or_told(tmp_path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('compression', ['zstd', 'lz4'])
-@pytest.mark.parametrize('claimed', [1000, 2 ** 60])
-@pytest.mark.parametrize('says_its_size', [True, False])
+@pytest.mark.parametrize(('compression', 'claimed', 'says_its_size'), [
+    ('zstd', 1000, False), ('zstd', 2 ** 60, True), ('lz4', 2 ** 60, False), ('lz4', 1000, True)])
 def test_a_chunk_that_would_fill_the_memory_is_damage(tmp_path, compression, claimed,
                                                       says_its_size):
     path = mcap(tmp_path, SENT['alone'], **UNINDEXED)

@@ -27,7 +27,7 @@ import tempfile
 
 import bags
 from conftest import at_night, files_up_to, RECORDINGS
-from hostile import limits, outcome, TUMBLER
+from hostile import LAUGHS, limits, outcome, TUMBLER
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk
@@ -39,11 +39,6 @@ from rigid_body_ros.recording import bulk, mcap_file, unpack
 from rigid_body_ros.replay import replay
 import yaml
 import zstandard
-
-#: 1 kB of YAML that would expand to 10^9 values.
-LAUGHS = 'a: &a [x,x,x,x,x,x,x,x,x,x]\n' + ''.join(
-    f'{name}: &{name} [{",".join(9 * [f"*{before}"])}]\n' for before, name in zip('abcdefgh',
-                                                                                  'bcdefghi'))
 
 
 def bag(folder, **options):
@@ -71,8 +66,8 @@ def scene_file(folder, text):
 
 # The metadata of a bag
 
-@pytest.mark.parametrize('text', ['2020-13-45', '!!int x', '!!timestamp x', '!!binary x',
-                                  '!!set {a, a}', '!!python/name:os.abort', '9' * 5000])
+@pytest.mark.parametrize('text', ['2020-13-45', '!!int x', '!!set {a, a}',
+                                  '!!python/name:os.abort', '9' * 5000])
 def test_values_of_no_meaning_may_be_anything(tmp_path, text):
     path = bag(tmp_path)
     file = path / 'metadata.yaml'
@@ -101,15 +96,12 @@ def test_aliases_do_not_multiply(tmp_path, before):
 
 
 @pytest.mark.parametrize('name', ['../bag/bag.mcap', '/etc/passwd', 'a/../../bag.mcap', '..',
-                                  'bag\0.mcap', '', '.', ['bag.mcap'], {'bag.mcap': 1}])
+                                  'bag\0.mcap', '', '.', ['bag.mcap'], '{bag}/bag.mcap'])
 def test_a_file_outside_of_the_bag_is_refused(tmp_path, name):
+    if isinstance(name, str):
+        name = name.format(bag=tmp_path / 'bag')
     path = described(tmp_path, {'relative_file_paths': [name]})
     assert 'metadata.yaml: relative_file_paths: expected ' in outcome(path)
-
-
-def test_the_absolute_path_of_a_file_in_the_bag_is_refused(tmp_path):
-    path = described(tmp_path, {'relative_file_paths': [str(tmp_path / 'bag/bag.mcap')]})
-    assert 'expected files in the folder of the bag, found' in outcome(path)
 
 
 def test_a_link_out_of_the_bag_is_refused_and_one_within_it_is_followed(tmp_path):
@@ -126,19 +118,14 @@ def test_a_link_out_of_the_bag_is_refused_and_one_within_it_is_followed(tmp_path
     assert outcome(tmp_path / 'alias') == ''
 
 
-@pytest.mark.slow
-def test_a_file_that_is_named_again_is_refused(tmp_path):
-    path = described(tmp_path, {'relative_file_paths': ['bag.mcap'] * 10_000})
+def test_a_file_is_named_once_perhaps_with_the_old_name_of_the_folder(tmp_path):
+    assert outcome(described(tmp_path, {'relative_file_paths': ['old_name/bag.mcap']})) == ''
+    path = described(tmp_path / 'again', {'relative_file_paths': ['bag.mcap'] * 1000})
     assert 'expected each file once' in outcome(path)
 
 
-def test_a_bag_with_the_name_of_its_folder_before_its_files_is_read(tmp_path):
-    assert outcome(described(tmp_path, {'relative_file_paths': ['old_name/bag.mcap']})) == ''
-
-
-@pytest.mark.parametrize('text', ['x' * 2 ** 23, '[a,' * 2 ** 17, '{a: ' * 9999, '- ' * 9999,
-                                  '%TAG !a! b\n' * 9999,
-                                  pytest.param('[' + 'a,' * 2 ** 20, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize('text', ['x' * 2 ** 23, '[a,' * 2 ** 17, '{a: ' * 9999,
+                                  '%TAG !a! b\n' * 9999, *at_night('[' + 'a,' * 2 ** 20)])
 def test_a_yaml_file_has_bounds(tmp_path, text):
     (tmp_path / 'scene.yaml').write_text(text)
     assert 'scene.yaml: expected ' in outcome(RECORDINGS / 'tumbler.mcap', tmp_path / 'scene.yaml')
@@ -169,13 +156,13 @@ def test_without_libyaml_the_same_is_refused(tmp_path):
     ('    tolerance: ' + '1' * 200_000 + 'x',
      r"tolerance: expected a number, found '1+\.\.\.1+x'"),
     ('    body_frame: ' + '[' * 20 + 'a' + ']' * 20, 'body_frame: expected text'),
-    ('    ' + 'x' * 600 + ': 1', 'expected full names of at most 500 characters'),
     ('    ? ' + 'x' * 2 ** 20 + '\n    : {' + ','.join(f'a{k}: 1' for k in range(9999)) + '}',
      'expected full names of at most 500'),
     ('    "inertia.\\e[2J": 1', re.escape(r'inertia.\x1b[2J: unknown key')),
-    ('    space_frame: "a\\nb"\n    body_frame: "a\\nb"', r"control characters, found 'a\\nb'"),
     ('    robot_description: "<' + 'x' * 5000 + '>"', 'URDF: expected XML, found'),
-    ('    tolerance: &a 1', 'expected YAML without aliases')])
+    ('    robot_description: "<robot><link name=\'a\'><inertial><inertia ixx=\''
+     + '1' * 100_000 + 'x\'/></inertial></link></robot>"',
+     'ixx: expected a finite number, found')])
 def test_what_is_quoted_of_a_scene_is_short(tmp_path, text, message):
     found = outcome(RECORDINGS / 'tumbler.mcap', scene_file(tmp_path, text))
     assert re.search(message, found)
@@ -194,20 +181,12 @@ def test_many_keys_of_other_nodes_are_read_in_bounded_time(tmp_path, name):
     assert note.isprintable()
 
 
-@pytest.mark.slow
-def test_a_long_number_of_a_robot_takes_no_time(tmp_path):
-    number = '1' * 100_000 + 'x'
-    urdf = f"<robot><link name='a'><inertial><inertia ixx='{number}'/></inertial></link></robot>"
-    found = outcome(RECORDINGS / 'tumbler.mcap',
-                    scene_file(tmp_path, f'    robot_description: "{urdf}"'))
-    assert 'ixx: expected a finite number, found' in found
-
-
 # Paths that are not regular files
 
-@pytest.mark.slow
-@pytest.mark.parametrize('name', ['a.csv', 'a.mcap', 'a.db3', 'a.mcap.zstd', 'a.db3.zst', 'a'])
-@pytest.mark.parametrize('kind', ['pipe', 'folder', 'zeros'])
+@pytest.mark.parametrize(('name', 'kind'), [
+    ('a.csv', 'pipe'), ('a.mcap', 'folder'), ('a.db3', 'pipe'), ('a.mcap.zstd', 'zeros'),
+    ('a.db3.zst', 'folder'), ('a', 'zeros'), ('a.mcap', 'pipe'), ('a.csv', 'zeros'),
+    ('a.db3', 'zeros')])
 def test_what_is_no_file_is_refused_as_a_recording_and_as_a_scene(tmp_path, name, kind):
     path = tmp_path / name
     if kind == 'zeros':
@@ -231,7 +210,7 @@ def test_a_description_that_is_no_file_is_refused(tmp_path, make):
     assert 'metadata.yaml: cannot read the metadata' in outcome(path)
 
 
-@pytest.mark.parametrize('name', ['a.csv', 'a.mcap', 'a.db3', 'a.mcap.zstd', 'a'])
+@pytest.mark.parametrize('name', ['a.csv', 'a.mcap', 'a.db3', 'a.mcap.zstd'])
 def test_a_gigabyte_of_nothing_is_refused(tmp_path, name):
     (tmp_path / name).touch()
     os.truncate(tmp_path / name, 2 ** 33)
@@ -285,14 +264,14 @@ def with_messages(path, *sent):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('says_its_size', [True, False])
-@pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
+@pytest.mark.parametrize(('storage', 'says_its_size'), [('MCAP', True), ('SQLITE3', False)])
 def test_a_message_may_not_be_larger_than_a_chunk_may(tmp_path, monkeypatch, storage,
                                                       says_its_size):
     monkeypatch.setattr(unpack, 'LARGEST', 2 ** 24)
     path = bag(tmp_path, storage=storage, compression='MESSAGE')
     assert outcome(path) == ''
-    data = zstandard.ZstdCompressor().compress(bytes(2 ** 28)) if says_its_size else bomb(2 ** 28)
+    size = 2 ** 26
+    data = zstandard.ZstdCompressor().compress(bytes(size)) if says_its_size else bomb(size)
     found = outcome(with_messages(path, ('/torque', data)))
     assert '/torque: message 1: cannot decompress: ' in found
 
@@ -308,7 +287,7 @@ def test_the_messages_of_a_block_may_not_be_larger_together_than_a_chunk_may(mon
     assert error.value.row == 8
 
 
-@pytest.mark.parametrize('size', [0, 1, 150, 2 ** 17, 2 ** 20])
+@pytest.mark.parametrize('size', [0, 1, 150, 2 ** 18])
 @pytest.mark.parametrize('content', [bytes, os.urandom], ids=['zeros', 'noise'])
 @pytest.mark.parametrize('says_its_size', [True, False])
 def test_what_is_dense_is_unpacked_whole(size, content, says_its_size):
@@ -342,13 +321,13 @@ def temporary(tmp_path, monkeypatch):
 def test_a_compressed_file_may_not_be_many_times_larger(tmp_path, temporary, monkeypatch):
     monkeypatch.setattr(unpack, 'LARGEST', 2 ** 24)
     path = tmp_path / 'a.mcap.zstd'
-    path.write_bytes(bomb(2 ** 28))
+    path.write_bytes(bomb(2 ** 26))
     assert 'a.mcap.zstd: expected at most 16777216 bytes after decompression' in outcome(path)
 
 
 def test_a_compressed_file_may_not_fill_the_temporary_folder(tmp_path, temporary, monkeypatch):
     path = tmp_path / 'a.mcap.zstd'
-    path.write_bytes(bomb(2 ** 28))
+    path.write_bytes(bomb(2 ** 26))
     usage = shutil.disk_usage(tmp_path)
     left = iter(range(2 ** 24, 0, -2 ** 20))
     monkeypatch.setattr(shutil, 'disk_usage', lambda folder: usage._replace(free=next(left)))

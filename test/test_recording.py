@@ -16,25 +16,22 @@
 
 import itertools
 import re
-import struct
 import sys
 
 import bags
 from conftest import EPOCH_NS, files_up_to, RECORDINGS, SECOND
 from mcap.reader import make_reader
-from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_ros2.decoder import DecoderFactory
-from mcap_ros2.writer import Writer as Ros2Writer
 import numpy as np
 import pytest
 from rigid_body_ros import messages, recording, State
 from rigid_body_ros.scene import InputError
-from rosbags.highlevel import AnyReader
 import yaml
 import zstandard
 
 TORQUES = np.random.default_rng(3).normal(size=(50, 3))
+TORQUES[0] = [5e-324, -0.0, 1.7976931348623157e308]
 STAMPS = EPOCH_NS + np.arange(50) * SECOND // 100
 ENDINGS = [messages.QUATERNION, messages.VECTOR3, messages.ODOMETRY]
 
@@ -58,10 +55,10 @@ def recorded(tmp_path):
                  [(stamp, 'base_link', torque) for stamp, torque in zip(STAMPS, TORQUES)])
 
 
-def test_what_is_written_is_read(recorded):
+def test_what_is_written_is_read_to_the_last_bit(recorded):
     log = torque_log(recorded)
+    assert log.torques.tobytes() == TORQUES.tobytes()
     np.testing.assert_array_equal(log.times_ns, STAMPS)
-    np.testing.assert_array_equal(log.torques, TORQUES)
     assert [path.name for path in recorded.parent.iterdir()] == ['torque.mcap']
 
 
@@ -105,17 +102,6 @@ def test_an_interrupt_at_any_moment_leaves_a_whole_file_or_none(tmp_path):
     assert path.exists()
 
 
-def test_rosbags_reads_what_we_write(recorded):
-    with AnyReader([recorded]) as reader:
-        connection, = reader.connections
-        assert (connection.topic, connection.msgtype) == ('/torque', messages.WRENCH.name)
-        read = [(time_ns, reader.deserialize(data, connection.msgtype))
-                for _, time_ns, data in reader.messages()]
-    assert [time_ns for time_ns, _ in read] == STAMPS.tolist()
-    torques = [message.wrench.torque for _, message in read]
-    np.testing.assert_array_equal([(t.x, t.y, t.z) for t in torques], TORQUES)
-
-
 @pytest.mark.parametrize('kind', ENDINGS, ids=lambda kind: kind.name)
 def test_mcap_ros2_support_reads_every_type_that_we_write(tmp_path, kind):
     values = np.arange(1.0, kind.doubles + 1.0)
@@ -150,29 +136,6 @@ def test_the_file_has_what_ros2_bag_play_and_foxglove_need(recorded):
             profile['durability']) == (1, 10, 1, 2)
 
 
-@pytest.mark.parametrize('compression', list(CompressionType))
-@pytest.mark.parametrize('chunked', [True, False])
-def test_we_read_what_others_write(tmp_path, compression, chunked):
-    path = tmp_path / 'theirs.mcap'
-    with open(path, 'wb') as stream:
-        writer = Ros2Writer(stream, compression=compression)
-        writer._writer._use_chunking = chunked
-        wrench = writer.register_msgdef(messages.WRENCH.name, messages.WRENCH.definition)
-        point = writer.register_msgdef('geometry_msgs/msg/Point', 'float64 x\nfloat64 y\n')
-        for stamp, torque in zip(STAMPS.tolist(), TORQUES.tolist()):
-            sec, nanosec = divmod(stamp, SECOND)
-            writer.write_message('/noise', point, {'x': 1.0, 'y': 2.0}, stamp, stamp)
-            writer.write_message('/torque', wrench, {
-                'header': {'stamp': {'sec': sec, 'nanosec': nanosec}, 'frame_id': 'world'},
-                'wrench': {'force': {'x': 0.0, 'y': 0.0, 'z': 0.0},
-                           'torque': dict(zip('xyz', torque))}}, stamp, stamp)
-        writer.finish()
-    log = torque_log(path)
-    np.testing.assert_array_equal(log.times_ns, STAMPS)
-    np.testing.assert_array_equal(log.torques, TORQUES)
-    assert log.in_space.all()
-
-
 def test_frames_come_from_each_message(tmp_path):
     path = write(tmp_path / 'mixed.mcap', [(1, '', [1, 0, 0]), (2, 'world', [0, 1, 0]),
                                            (3, 'base_link', [0, 0, 1])])
@@ -182,11 +145,13 @@ def test_frames_come_from_each_message(tmp_path):
         recording.torque_log(path, recording.read(path), 'base_link', 'world', 'linear')
 
 
-def test_of_equal_stamps_the_later_in_the_file_counts(tmp_path):
-    path = write(tmp_path / 'twice.mcap', [(5, '', [1, 0, 0]), (3, '', [2, 0, 0]),
-                                           (5, '', [3, 0, 0])])
+def test_torques_are_sorted_and_of_equal_stamps_the_later_in_the_file_counts(tmp_path):
+    year_ns = 365 * 86400 * SECOND  # a log of simulated time may begin at zero
+    path = write(tmp_path / 'twice.mcap', [(0, '', [1, 0, 0]), (year_ns, '', [2, 0, 0]),
+                                           (7, '', [3, 0, 0]), (year_ns, '', [4, 0, 0])])
     log = torque_log(path)
-    assert (log.times_ns.tolist(), log.torques[:, 0].tolist()) == ([3, 5], [2.0, 3.0])
+    assert log.times_ns.tolist() == [0, 7, year_ns]
+    assert log.torques[:, 0].tolist() == [1.0, 3.0, 4.0]
 
 
 def test_the_log_of_a_node_is_divided_at_its_markers(tmp_path):
@@ -209,26 +174,6 @@ def test_the_log_of_a_node_is_divided_at_its_markers(tmp_path):
         torque_log(path)
 
 
-def test_the_topic_is_needed_only_where_there_are_several(tmp_path):
-    path = tmp_path / 'two.mcap'
-    with recording.Writer(path) as writer:
-        for topic in ('/left', '/right'):
-            writer.add_topic(topic, messages.WRENCH)
-            writer.write(topic, 1, messages.wrench(1, '', [1.0, 0.0, 0.0]))
-    with pytest.raises(InputError, match=re.escape(
-            'found /left (geometry_msgs/msg/WrenchStamped), /right '
-            '(geometry_msgs/msg/WrenchStamped); choose one with --topic')):
-        recording.read(path)
-    assert recording.read(path, '/right').topic == '/right'
-
-
-def test_a_log_of_simulated_time_may_begin_at_zero(tmp_path):
-    year_ns = 365 * 86400 * SECOND
-    log = torque_log(write(tmp_path / 'simulated.mcap', [(0, '', [1, 0, 0]),
-                                                         (year_ns, '', [0, 1, 0])]))
-    assert log.times_ns.tolist() == [0, year_ns]
-
-
 @pytest.mark.parametrize(('rows', 'message'), [
     ([], 'bad.mcap: /torque: expected torques, found no message'),
     ([(1, '', [np.inf, 0, 0]), (2, '', [0, np.nan, 0])],
@@ -236,8 +181,6 @@ def test_a_log_of_simulated_time_may_begin_at_zero(tmp_path):
     ([(1, '', [0, 0, 0]), (2, 'map', [0, 0, 0])],
      "bad.mcap: /torque: message 2: frame_id: expected 'base_link' .*found 'map'"),
     ([(0, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 1: expected a stamp .*in 2 of 2'),
-    ([(0, '', [1, 0, 0]), (0, '', [0, 0, 0])], 'message 1: expected a stamp .*in 2 of 2'),
-    ([(7, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 2: .* found 0, as in 1 of 2'),
     ([(EPOCH_NS, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 2: .* found 0, as in 1 of 2')])
 def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, message):
     path = write(tmp_path / 'bad.mcap', rows)
@@ -282,72 +225,19 @@ def test_a_message_that_is_not_what_its_schema_says_is_named(tmp_path):
         recording.read(path)
 
 
-def test_another_encoding_is_refused(tmp_path):
-    with open(tmp_path / 'json.mcap', 'wb') as stream:
-        writer = McapWriter(stream)
-        writer.start()
-        schema = writer.register_schema(messages.WRENCH.name, 'jsonschema', b'{}')
-        channel = writer.register_channel('/torque', 'json', schema)
-        writer.add_message(channel, 1, b'{}', 1)
-        writer.finish()
-    with pytest.raises(InputError, match="message encoding cdr, found 'json'"):
-        recording.read(tmp_path / 'json.mcap')
-
-
 @pytest.mark.parametrize(('content', 'found'), [
-    (b'', 'an empty file'), (b'text', "another format, which begins with b'text'"),
-    (b'time,tx,ty,tz\n', "another format, which begins with b'time,tx,'"),
-    (bytes(1000), f'another format, which begins with {bytes(8)}')])
+    (b'', ', found an empty file'),
+    (b'text', ", found another format, which begins with b'text'"),
+    (bytes(1000), f', found another format, which begins with {bytes(8)}'),
+    (b'\x89MCAP0\r\n', ' with messages')])
 def test_what_is_no_mcap_file_is_refused(tmp_path, content, found):
     (tmp_path / 'other.bag').write_bytes(content)
-    message = f'other.bag: expected an MCAP file, found {found}'
-    with pytest.raises(InputError, match=f'{re.escape(message)}$'):
+    with pytest.raises(InputError, match=re.escape(f'other.bag: expected an MCAP file{found}')):
         recording.read(tmp_path / 'other.bag')
 
 
-def test_an_mcap_file_without_a_record_is_refused(tmp_path):
-    (tmp_path / 'short.mcap').write_bytes(b'\x89MCAP0\r\n')
-    with pytest.raises(InputError, match='short.mcap: expected an MCAP file with messages'):
-        recording.read(tmp_path / 'short.mcap')
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('share', [0.01, 0.1, 0.5, 0.9, 0.99])
-def test_of_a_truncated_file_all_is_used_that_is_there(tmp_path, share):
-    count = 40_000
-    stamps = EPOCH_NS + np.arange(count) * SECOND // 1000
-    torques = np.random.default_rng(3).normal(size=(count, 3))
-    whole = write(tmp_path / 'whole.mcap', zip(stamps.tolist(), [''] * count, torques))
-    data = whole.read_bytes()
-    (tmp_path / 'cut.mcap').write_bytes(data[:int(len(data) * share)])
-    found = recording.read(tmp_path / 'cut.mcap')
-    rows = len(found.stamps_ns)
-    assert share - 0.3 < rows / count <= 1.0  # whole chunks of about 7400 messages
-    np.testing.assert_array_equal(found.stamps_ns, stamps[:rows])
-    np.testing.assert_array_equal(found.values[:, 3:], torques[:rows])
-    assert 'cut.mcap: cut off ' in found.damage
-
-
-@pytest.mark.slow
-def test_damaged_bytes_give_the_right_result_or_one_line(tmp_path, recorded):
-    data, random = recorded.read_bytes(), np.random.default_rng(9)
-    whole = torque_log(recorded)
-    for place in random.integers(0, len(data), 300):
-        damaged = bytearray(data)
-        damaged[place] ^= int(random.integers(1, 256))
-        (tmp_path / 'flip.mcap').write_bytes(damaged)
-        try:
-            log = torque_log(tmp_path / 'flip.mcap')
-            np.testing.assert_array_equal(log.torques, whole.torques, str(place))
-            np.testing.assert_array_equal(log.times_ns, whole.times_ns)
-        except InputError as error:
-            assert str(error).startswith(str(tmp_path / 'flip.mcap'))
-            assert '\n' not in str(error)
-
-
-@pytest.mark.parametrize('path', ['none.mcap', 'none.db3', 'none.mcap.zstd', 300 * 'x' + '.mcap',
-                                  300 * 'x' + '.db3', 'x' * 300 + '.csv'],
-                         ids=lambda path: path[-9:])
+@pytest.mark.parametrize('path', ['none.mcap', 'none.db3', 'none.mcap.zstd',
+                                  'x' * 300 + '.csv'], ids=lambda path: path[-9:])
 def test_a_file_that_cannot_be_opened_is_named(tmp_path, path):
     with pytest.raises(InputError, match='cannot read the recording: '):
         recording.read(tmp_path / path)
@@ -367,7 +257,7 @@ def test_a_failure_leaves_no_file_and_keeps_the_old_one(tmp_path, recorded):
     assert [path.name for path in tmp_path.iterdir()] == ['torque.mcap']
 
 
-@pytest.mark.parametrize('count', [1, 400, 40_000])
+@pytest.mark.parametrize('count', [1, 10_000])
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, count):
     # The damage is at the end, or somewhere before.
     random = np.random.default_rng(1)
@@ -375,20 +265,6 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, count):
                                          match='full.mcap: cannot write: File too large'):
         write(tmp_path / 'full.mcap', [(k, '', random.normal(size=3)) for k in range(count)])
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(('path', 'message'), [
-    ('none/out.mcap', 'none/out.mcap: cannot write: No such file or directory'),
-    ('.', 'expected a regular file, found a folder')])
-def test_a_place_that_cannot_be_written_is_named(tmp_path, path, message):
-    with pytest.raises(InputError, match=message), recording.Writer(tmp_path / path):
-        pass
-
-
-def test_a_double_survives_the_file_to_the_last_bit(tmp_path):
-    torque = [5e-324, -0.0, 1.7976931348623157e308]
-    path = write(tmp_path / 'extreme.mcap', [(EPOCH_NS, '', torque)])
-    assert struct.pack('<3d', *torque_log(path).torques[0]) == struct.pack('<3d', *torque)
 
 
 def registered(path, definition, encoding='ros2msg', kind=messages.WRENCH, message=None,
@@ -408,7 +284,8 @@ def registered(path, definition, encoding='ros2msg', kind=messages.WRENCH, messa
 STANDARD = messages.WRENCH.definition
 IDL = ''.join(bags.idl(kind) for kind in reversed(bags.IDL))
 SWAPPED = ('Vector3 force\nVector3 torque', 'Vector3 torque\nVector3 force')
-#: Changed definitions of a WrenchStamped, and the first difference that is reported.
+#: Changed definitions of a WrenchStamped, the last three in IDL, and the first difference that is
+#: reported.
 CHANGES = {
     'swapped': (*SWAPPED, 'float64 wrench.force.x', "'float64 wrench.torque.x'"),
     'float32': ('float64 x', 'float32 x', 'float64 wrench.force.x', "'float32 wrench.force.x'"),
@@ -420,30 +297,24 @@ CHANGES = {
     'unknown': ('Wrench wrench\n', 'other_msgs/Wrench wrench\n', 'float64 wrench.force.x',
                 "'other_msgs/Wrench wrench'"),
     'array': ('float64 x', 'float64[1] x', 'float64 wrench.force.x',
-              "'float64[1] wrench.force.x'")}
+              "'float64[1] wrench.force.x'"),
+    'idl-swapped': ('force; geometry_msgs::msg::Vector3 torque',
+                    'torque; geometry_msgs::msg::Vector3 force', 'float64 wrench.force.x',
+                    "'float64 wrench.torque.x'"),
+    'idl-float': ('double x', 'float x', 'float64 wrench.force.x', "'float32 wrench.force.x'"),
+    'idl-unknown': ('struct Vector3', 'struct Vector', 'float64 wrench.force.x',
+                    'no more fields')}
 
 
 @pytest.mark.parametrize(('standard', 'other', 'expected', 'found'), CHANGES.values(), ids=CHANGES)
 def test_another_definition_of_a_type_is_refused(tmp_path, standard, other, expected, found):
-    assert standard in STANDARD
-    path = registered(tmp_path / 'other.mcap', STANDARD.replace(standard, other))
+    text, encoding = (STANDARD, 'ros2msg') if standard in STANDARD else (IDL, 'ros2idl')
+    assert standard in text
+    path = registered(tmp_path / 'other.mcap', text.replace(standard, other), encoding)
     name = messages.WRENCH.name
     with pytest.raises(InputError, match=re.escape(
             f'{path}: /torque: expected {expected} in the definition of {name}, found {found}')):
         recording.read(path)
-
-
-@pytest.mark.parametrize(('standard', 'other', 'expected', 'found'), [
-    ('force; geometry_msgs::msg::Vector3 torque', 'torque; geometry_msgs::msg::Vector3 force',
-     'float64 wrench.force.x', "'float64 wrench.torque.x'"),
-    ('double x', 'float x', 'float64 wrench.force.x', "'float32 wrench.force.x'"),
-    ('struct Vector3', 'struct Vector', 'float64 wrench.force.x', 'no more fields')])
-def test_another_definition_in_idl_is_refused(tmp_path, standard, other, expected, found):
-    assert standard in IDL
-    path = registered(tmp_path / 'other.mcap', IDL.replace(standard, other), 'ros2idl')
-    with pytest.raises(InputError, match=re.escape(f'expected {expected} in')) as error:
-        recording.read(path)
-    assert f', found {found}' in str(error.value)
 
 
 @pytest.mark.parametrize(('kind', 'name'), [(kind, kind.name.replace('/msg/', '/')) for kind in (
@@ -460,27 +331,23 @@ def test_the_name_of_a_type_may_lack_msg(tmp_path, kind, name):
         recording.read(path, kind=kind)
 
 
-def test_messages_in_the_encoding_of_ros_1_are_refused(tmp_path):
-    path = registered(tmp_path / 'ros1.mcap', 'geometry_msgs/Wrench wrench', 'ros1msg',
-                      name='geometry_msgs/WrenchStamped', message_encoding='ros1')
-    with pytest.raises(InputError, match=r"/torque: expected message encoding cdr, found 'ros1'$"):
-        recording.read(path)
+@pytest.mark.parametrize(('options', 'message'), [
+    ({'encoding': 'ros1msg', 'name': 'geometry_msgs/WrenchStamped', 'message_encoding': 'ros1'},
+     "/torque: expected message encoding cdr, found 'ros1'$"),
+    ({'message_encoding': 'json'}, "message encoding cdr, found 'json'"),
+    ({'encoding': 'jsonschema'}, "ros2msg or ros2idl, found 'jsonschema'")])
+def test_another_encoding_is_refused(tmp_path, options, message):
+    with pytest.raises(InputError, match=message):
+        recording.read(registered(tmp_path / 'other.mcap', '{}', **options))
 
 
-@pytest.mark.parametrize('name', ['log.bag', 'log', 'log.mcap', 'log.db3', 'log.csv', 'log.ulg',
-                                  'log.bag.zst'])
+@pytest.mark.parametrize('name', ['log', 'log.db3', 'log.csv', 'log.ulg', 'log.bag.zst'])
 def test_a_bag_of_ros_1_is_refused_with_advice(tmp_path, name):
     path, data = tmp_path / name, b'#ROSBAG V2.0\n' + bytes(100)
     path.write_bytes(zstandard.compress(data) if name.endswith('zst') else data)
     with pytest.raises(InputError, match=re.escape(
             f'{name}: expected MCAP or rosbag2, found a ROS 1 bag; convert it with '
             'rosbags-convert --src IN.bag --dst OUT')):
-        recording.read(path)
-
-
-def test_a_definition_in_an_unknown_language_is_refused(tmp_path):
-    path = registered(tmp_path / 'other.mcap', '{}', 'jsonschema')
-    with pytest.raises(InputError, match="ros2msg or ros2idl, found 'jsonschema'"):
         recording.read(path)
 
 

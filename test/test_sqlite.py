@@ -48,8 +48,9 @@ def read(path):
     return bags.Torques(found.stamps_ns, found.frame_ids, found.values).rows(), found.damage
 
 
-@pytest.mark.parametrize('left', [('', '-wal', '-shm'), ('', '-wal'), ('',)], ids=len)
-@pytest.mark.parametrize('writable', [True, False])
+@pytest.mark.parametrize(('left', 'writable'), [
+    (('', '-wal', '-shm'), True), (('', '-wal', '-shm'), False), (('', '-wal'), False),
+    (('',), True)])
 def test_nothing_is_written_beside_a_bag_that_a_recorder_left(tmp_path, left, writable):
     live = tmp_path / 'live'
     live.mkdir()
@@ -128,18 +129,15 @@ COPY = 'ALTER TABLE {0} RENAME TO old_{0}'
     (COPY.format('topics'), 'CREATE TABLE topics(id, name, type, serialization_format)',
      "INSERT INTO topics VALUES (1, x'00ff', NULL, 3.5)"),
     (COPY.format('topics'), 'CREATE TABLE topics(id, name, type, serialization_format)',
-     'INSERT INTO topics VALUES (1, NULL, NULL, NULL)'),
-    (COPY.format('topics'), 'CREATE TABLE topics(id, name, type, serialization_format)',
      "INSERT INTO topics VALUES (1, CAST(x'ff' AS TEXT), 'a', 'cdr')"),
-    ("UPDATE topics SET type = 'x' || hex(zeroblob(1000000)) || char(10)",),
     ("UPDATE topics SET name = 'x' || hex(zeroblob(1000000)) || char(27), type = 'y'",)],
     ids=itertools.count())
 def test_a_hostile_schema_is_refused(tmp_path, statements):
     assert 'bag_0.db3: expected ' in outcome(database(tmp_path, *statements))
 
 
-@pytest.mark.parametrize('change', ['data = zeroblob(50000000)', "data = 'text'", 'data = NULL',
-                                    "timestamp = 'never'", 'timestamp = 1.5'])
+@pytest.mark.parametrize('change', ['data = zeroblob(50000000)', 'data = NULL',
+                                    "timestamp = 'never'"])
 def test_messages_before_one_that_is_none_are_used(tmp_path, change):
     path = database(
         tmp_path, COPY.format('messages'),
@@ -188,31 +186,27 @@ def test_a_temporary_copy_needs_room(tmp_path, monkeypatch):
     assert content(tmp_path) == before
 
 
-@pytest.mark.parametrize(('change', 'told'), [
-    ("encoded_message_definition = replace(encoded_message_definition, 'Vector3 force', 'Vector3 "
-     "push')", "expected float64 wrench.force.x in .*, found 'float64 wrench.push.x'"),
-    ("encoding = 'tape'", "expected a definition in ros2msg or ros2idl, found 'tape'"),
-    ('encoded_message_definition = zeroblob(100000)', 'expected a definition of at most'),
-    ("encoded_message_definition = ''", '')])
-def test_another_definition_of_the_type_is_refused(tmp_path, change, told):
-    recorded = bags.torques(20)
-    path = bags.bare(tmp_path, bags.traffic(recorded), storage='SQLITE3')
+DEFINITION = 'UPDATE message_definitions SET encoded_message_definition = '
+
+
+@pytest.mark.parametrize(('statements', 'told'), [
+    (f"{DEFINITION} replace(encoded_message_definition, 'Vector3 force', 'Vector3 push')",
+     "/torque: expected float64 wrench.force.x in .*, found 'float64 wrench.push.x'"),
+    ("UPDATE message_definitions SET encoding = 'tape'",
+     "/torque: expected a definition in ros2msg or ros2idl, found 'tape'"),
+    (f'{DEFINITION} zeroblob(100000)', '/torque: expected a definition of at most'),
+    ('ALTER TABLE message_definitions RENAME TO x; CREATE VIEW message_definitions AS SELECT * '
+     'FROM x', '.*message_definitions to be an ordinary table'),
+    (f"{DEFINITION} ''", '')])
+def test_another_definition_of_the_type_is_refused(tmp_path, statements, told):
+    path = bags.bare(tmp_path, bags.traffic(RECORDED), storage='SQLITE3')
     with closing(sqlite3.connect(path)) as database, database:
-        database.execute(f'UPDATE message_definitions SET {change}')
+        database.executescript(statements)
     if told:
-        with pytest.raises(InputError, match=f'{path.name}: /torque: {told}'):
+        with pytest.raises(InputError, match=f'{path.name}: {told}'):
             recording.read(path)
     else:
-        assert len(recording.read(path)) == 20
-
-
-def test_definitions_are_an_ordinary_table(tmp_path):
-    path = bags.bare(tmp_path, bags.traffic(bags.torques(20)), storage='SQLITE3')
-    with closing(sqlite3.connect(path)) as database, database:
-        database.executescript('ALTER TABLE message_definitions RENAME TO x; CREATE VIEW '
-                               'message_definitions AS SELECT * FROM x')
-    with pytest.raises(InputError, match='message_definitions to be an ordinary table'):
-        recording.read(path)
+        assert len(recording.read(path)) == len(RECORDED.stamps_ns)
 
 
 @pytest.mark.slow
@@ -232,7 +226,7 @@ def test_a_file_is_read_while_it_is_written(tmp_path, mode):
     recorder.start()
     counts = []
     try:
-        while len(counts) < 15:
+        while len(counts) < 8 or counts[-1] == counts[0]:
             try:
                 found = recording.read(path)
             except InputError as error:
@@ -246,4 +240,3 @@ def test_a_file_is_read_while_it_is_written(tmp_path, mode):
         stop.set()
         recorder.join()
     assert counts == sorted(counts)
-    assert counts[-1] > counts[0]
