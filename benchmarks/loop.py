@@ -13,25 +13,20 @@
 # limitations under the License.
 
 """
-Compare a closed loop with two bare rclpy nodes that send each other the same messages.
+Measure a closed loop of `attitude_node` in lockstep and `attitude_controller`.
 
-    python benchmarks/loop.py [--rounds 25] [--json FILE]
+    python benchmarks/loop.py [--rounds 12]
 
-The loop is `attitude_node` in lockstep, with a step of 1 ms, and `attitude_controller`. The bare
-nodes are those of `bare_loop.py`. All use the executor of the package, and rounds of the two loops
-alternate. The times are per step: wall time, and processor time of the node and of the controller,
-which runs in this process. A ratio is ours / bare, the median over the rounds.
+Both run with a step of 1 ms. The table has the medians over the rounds, per step: wall time, and
+processor time of the node and of the controller, which runs in this process.
 """
 
 import argparse
-import json
 import os
 from pathlib import Path
-import subprocess
 import sys
 import time
 
-from bare_loop import BareController, STEP_NS
 import numpy as np
 import psutil
 import rclpy
@@ -39,24 +34,17 @@ from rclpy.signals import SignalHandlerOptions
 from rigid_body_ros.node.attitude_controller import AttitudeController
 from rigid_body_ros.node.process import executor_of, spin
 
-HERE = Path(__file__).resolve().parent
+SCENE = Path(__file__).resolve().parent.parent / 'config' / 'tumbler.yaml'
+NODE = ['-c', 'from rigid_body_ros.commands import main; main.attitude_node()', '--ros-args',
+        '--params-file', str(SCENE), '-p', 'mode:=lockstep', '-p', 'step:=0.001']
 #: Number of states in a round before timing starts, and number of timed states.
 WARM, STATES = 200, 1000
 #: s; a loop that takes longer is considered stuck.
 LONGEST = 120.0
-OURS, BARE = '/ours', '/bare'
-NODES = {
-    OURS: ['-c', 'from rigid_body_ros.commands import main; main.attitude_node()', '--ros-args',
-           '--params-file', str(HERE.parent / 'config' / 'tumbler.yaml'), '-p', 'mode:=lockstep',
-           '-p', f'step:={STEP_NS / 1e9}'],
-    BARE: [str(HERE / 'bare_loop.py'), '--ros-args']}
-NAMES = 'wall', 'node', 'controller'
-#: Largest allowed ratio of wall times.
-BAR = 1.3
 
 
-class Timed:
-    """A controller that records when it has received WARM states, and STATES more."""
+class TimedController(AttitudeController):
+    """The example controller, which records when it has received WARM states, and STATES more."""
 
     count = 0
 
@@ -81,62 +69,33 @@ class Timed:
         return len(self.marks) == 2
 
 
-class TimedController(Timed, AttitudeController):
-    """The example controller, timed."""
-
-
-class TimedBareController(Timed, BareController):
-    """The bare controller, timed."""
-
-
-def time_round(namespace, process):
-    """Return the times of a step, s, in the order of NAMES."""
-    rclpy.init(args=['--ros-args', '-r', f'__ns:={namespace}'],
-               signal_handler_options=SignalHandlerOptions.NO)
+def time_round(process):
+    """Return the times of a step, s: wall time, node, controller."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
-        controller = (TimedController if namespace == OURS else TimedBareController)(process)
+        controller = TimedController(process)
         spin(executor_of(), controller, controller.is_done)
     finally:
         rclpy.try_shutdown()
     return np.diff(controller.marks, axis=0)[0] / STATES
 
 
-def measure(rounds):
-    """Return the times of all rounds, shape (rounds, 3), by namespace."""
-    nodes = {name: psutil.Popen([sys.executable, *command, '-r', f'__ns:={name}'],
-                                stderr=subprocess.DEVNULL) for name, command in NODES.items()}
-    found = {name: [] for name in nodes}
-    try:
-        for number in range(rounds + 1):
-            for name, process in nodes.items():
-                times = time_round(name, process)
-                if number:  # the first round is for warming up
-                    found[name].append(times)
-    finally:
-        for process in nodes.values():
-            process.terminate()
-            process.wait()
-    return {name: np.array(times) for name, times in found.items()}
-
-
 def main():
-    """Print the table, and mark a wall time beyond its limit."""
-    parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
-    parser.add_argument('--rounds', type=int, default=25)
-    parser.add_argument('--json', type=Path, help='write the figures')
-    arguments = parser.parse_args()
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().partition('\n')[0])
+    parser.add_argument('--rounds', type=int, default=12)
+    rounds = parser.parse_args().rounds
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
-    found = measure(arguments.rounds)
-    ours, bare = (np.median(found[name], axis=0) for name in (OURS, BARE))
-    ratios = np.median(found[OURS] / found[BARE], axis=0)
-    print(f'{"us per step":12}{"ours":>8}{"bare":>8}{"ratio":>8}')
-    for name, *times, ratio in zip(NAMES, ours, bare, ratios):
-        print(f'{name:12}{times[0] * 1e6:8.0f}{times[1] * 1e6:8.0f}{ratio:8.2f}'
-              f'{"  MISS" if name == "wall" and ratio > BAR else ""}')
-    if arguments.json:
-        arguments.json.write_text(json.dumps(
-            {name: times.tolist() for name, times in found.items()}, indent=1))
+    node = psutil.Popen([sys.executable, *NODE])
+    try:
+        time_round(node)  # for warming up
+        times = np.median([time_round(node) for _ in range(rounds)], axis=0)
+    finally:
+        node.terminate()
+        node.wait()
+    for name, seconds in zip(('wall', 'node', 'controller'), times):
+        print(f'{name:12}{seconds * 1e6:8.0f} us per step')
 
 
 if __name__ == '__main__':

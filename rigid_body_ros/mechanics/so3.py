@@ -22,9 +22,7 @@ except `from_matrix` broadcast over leading axes.
 The package does not use SciPy's `Rotation`, for two reasons: the last bits of SciPy's results
 depend on the C library, and SciPy normalises its input, which changes components by up to 3e-16.
 Accuracy is not a reason, because SciPy's exp and log are as accurate as those of this module
-(errors up to 8e-16). `benchmarks/choices.py so3` measures the times for 1,000 rotations: exp takes
-0.10 ms in this module and 0.05 ms in SciPy, rotate 0.09 and 0.06 ms, log 0.12 and 0.6 ms, and
-multiply 0.07 and 1.0 ms.
+(errors up to 8e-16).
 """
 
 from __future__ import annotations
