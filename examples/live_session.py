@@ -90,6 +90,8 @@ class LiveSession:
 
     #: The topic on which `publish` publishes.
     topic = 'torque'
+    #: s; how long `wait_until` receives messages before it checks the condition again.
+    pause = 0.02
 
     def __init__(self, scene, domain, *arguments, program=_PROGRAM):
         self._domain = domain
@@ -229,7 +231,7 @@ class LiveSession:
             if self._has_failed() or time.monotonic() > until:
                 raise RuntimeError(f'expected {what}, which did not happen; log of the node:\n'
                                    f'{self.words()}')
-            self.spin(0.02)
+            self.spin(self.pause)
 
     def wait_for_torques(self, count):
         """Receive messages until the node has applied or rejected this many torques."""

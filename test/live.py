@@ -23,6 +23,7 @@ from live_session import ACCEPTED, COMMITTED, LiveSession
 import numpy as np
 from rcl_interfaces.srv import GetParameters, SetParameters
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.node import AttitudeNode
@@ -31,7 +32,7 @@ from rigid_body_ros.replay.verify import verify
 
 TUMBLER = CONFIG / 'tumbler.yaml'
 #: Parameters to accept every torque, however long the machine delays a process.
-PATIENT = ('-p', 'history:=60.0', '-p', 'max_future:=59.5')
+PATIENT = ('-p', 'history:=60.0', '-p', 'max_future:=59.9')
 #: s; how long to wait for anything.
 PATIENCE = 300.0
 
@@ -53,6 +54,7 @@ class Session(LiveSession):
     """
 
     kind = AttitudeNode
+    pause = 0.005
 
     def _start(self):
         rclpy.init(args=self.command[self.command.index('--ros-args'):], context=self._context,
@@ -82,8 +84,11 @@ class Session(LiveSession):
 
     def _destroy(self):
         if self.tested:
-            self._executor.remove_node(self.tested)
             self.tested.destroy_node()
+            # An EventsExecutor would still call the timers of the node that have expired.
+            self._executor.shutdown()
+            self._executor = SingleThreadedExecutor(context=self._context)
+            self._executor.add_node(self.node)
         self.tested = None
 
     def stop(self):
@@ -164,8 +169,8 @@ def live_values(committed):
 
 def commit(live, count):
     """Make `count` states of a PATIENT node final by publishing a torque far ahead."""
-    live.spin(1.0)  # longer than the `history` that a torque ahead by `max_future` leaves
-    live.publish(live.now_ns() + 59 * SECOND, '', [0.0, 0.0, 0.0])
+    live.spin(0.25)  # longer than the `history` that this torque leaves
+    live.publish(live.now_ns() + 598 * SECOND // 10, '', [0.0, 0.0, 0.0])
     live.wait_until(lambda: len(live.received[COMMITTED]) == count, 'all states')
 
 
