@@ -103,40 +103,34 @@ class Parser(argparse.ArgumentParser):
     def add_scene(self, without: str = '') -> None:
         """Add the option that selects the scene; `without` says what is done if it is missing."""
         self.add_argument('--scene', required=not without, metavar='FILE',
-                          help='ROS 2 parameter file with the inertia and the initial state, as '
-                          f'for attitude_node{without}')
+                          help=f'scene: the parameter file of attitude_node{without}')
 
     def add_torques(self) -> None:
         """Add the options that select the topics for torques and for a changing inertia."""
         self.add_argument('--topic', action='append',
-                          help='torque topic; if you repeat the option, the torques of all topics '
-                          'add up (default: the torque_topics of the scene; if both the scene and '
-                          'the recording have a single topic, the two names may differ)')
+                          help='torque topic; repeat it to add up torques (default: the '
+                          'torque_topics of the scene; a single topic may have another name in '
+                          'the recording)')
         self.add_argument('--wheel-torque', metavar='TOPIC',
                           help='topic of the motor torques on the rotors (default: wheel_torque, '
-                          'if the recording contains this topic); needs a scene with wheels: true')
+                          'if recorded); needs wheels: true')
         self.add_argument('--wheel-momentum', metavar='TOPIC',
                           help='topic of the measured rotor momentum (Vector3Stamped, N m s, body '
-                          'axes), which is interpolated linearly; needs a scene with wheels: true')
+                          'axes), interpolated linearly; needs wheels: true')
         self.add_argument('--wheel-command', metavar='TOPIC',
-                          help='topic of the effort commands to named wheels (JointState; '
-                          'default: wheel_command, if the recording contains this topic); needs a '
-                          'scene with wheel_names')
+                          help='topic of the efforts of named wheels (JointState; default: '
+                          'wheel_command, if recorded); needs wheel_names')
         self.add_argument('--inertia', metavar='TOPIC',
-                          help='topic of the changing inertia of the body (InertiaStamped; '
-                          'default: inertia, if the recording contains this topic); needs a '
-                          'scene with inertia_topic: true')
-
+                          help='topic of the changing inertia (InertiaStamped; default: inertia, '
+                          'if recorded); needs inertia_topic: true')
         self.add_argument('--columns', type=_columns, metavar='NAME=COLUMN,...',
-                          help='where CSV files contain time and tx, ty, tz, or qx, qy, qz, qw, '
-                          'or wx, wy, wz: the number of each column, from 1, or its name, as in '
-                          "time_ms=1,'wx (deg/s)=2',wy=3,wz=4 (default: as the heading says)")
+                          help='number, from 1, or name of the columns of CSV files, as in '
+                          "time_ms=1,'wx (deg/s)=gx',wy=3,wz=4 (default: as the heading says)")
 
     def add_interpolation(self) -> None:
         """Add the option that selects how torques are interpolated."""
         self.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
-                          help='how to interpolate the torques between samples (default: the '
-                          'interpolation of the scene)')
+                          help='torque between samples (default: the interpolation of the scene)')
 
     def add_span(self, *aliases: str) -> argparse._ActionsContainer:
         """
@@ -146,48 +140,46 @@ class Parser(argparse.ArgumentParser):
         """
         self.add_argument('--from', *aliases, dest='start', type=positive, default=0.0,
                           metavar='SECONDS', help='start the motion SECONDS after the first '
-                          'sample, in the initial state of the scene. A torque that is held at '
-                          'this time acts from the start. Not for the log of a node')
+                          'sample, in the initial state of the scene; not for the log of a node')
         ends = self.add_mutually_exclusive_group()
         ends.add_argument('--until', type=positive, metavar='SECONDS',
                           help='end the motion SECONDS after the first sample or, if the scene '
                           'sets start_time or a node recorded the log, after the start')
         return ends
 
-    def add_time_source(self, times: str) -> None:
-        """Add the option that selects where times come from; its help text begins with `times`."""
+    def add_time_source(self) -> None:
+        """Add the option that selects where times come from."""
         self.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
-                          help=f'{times} was logged or published (default: header)')
+                          help='time of a torque or measurement: its stamp, or when its message '
+                          'was recorded or published (default: header)')
 
     def add_measured(self, topics: str) -> None:
         """Add the options for torques and measurements; `topics` is the help for --measured."""
         self.add_argument('--measured', action='append', metavar='TOPIC', help=topics)
         self.add_argument('--frames', nargs=2, metavar=('PARENT', 'CHILD'),
-                          help='parent frame and child frame of measured transforms or odometry '
-                          '(default: the frames of the scene)')
+                          help='frames of measured transforms or odometry (default: those of the '
+                          'scene)')
         self.add_torques()
         self.add_span()
         self.add_interpolation()
-        self.add_time_source('time of a torque or measurement: the stamp in its header, or when '
-                             'its message')
+        self.add_time_source()
 
-    def add_outputs(self, *, report: str, json: str = '', plot: str = '') -> None:
-        """Add --overwrite, and an option for each output for which a help text is given."""
-        if json:
-            self.add_argument('--json', metavar='OUT', help=json)
-        if plot:
-            self.add_argument('--plot', metavar='PNG', help=plot)
-        self.add_argument('--report', metavar='HTML',
-                          help=f'write a page that opens in any browser, without a network, and '
-                          f'shows {report}')
+    def add_outputs(self, *outputs: str) -> None:
+        """Add --report, --overwrite, and the named ones of --json and --plot."""
+        if 'json' in outputs:
+            self.add_argument('--json', metavar='OUT', help='write the result, with units')
+        if 'plot' in outputs:
+            self.add_argument('--plot', metavar='PNG', help='draw the charts of --report')
+        self.add_argument('--report', metavar='HTML', help='write the result as a page that any '
+                          'browser opens without a network')
         self.add_argument('--overwrite', action='store_true',
-                          help='replace output files that exist; folders are never replaced')
+                          help='replace output files that exist, but never folders')
 
     def add_degrees(self) -> None:
         """Add the option that selects the unit of angles."""
         self.add_argument('--degrees', action='store_true',
-                          help='show angles in degrees in the summary and on the page; the JSON '
-                          'file and the verdict text stay in radians')
+                          help='degrees in the summary and on the page; JSON and verdict stay in '
+                          'radians')
 
 
 class _Once(argparse.Action):

@@ -79,42 +79,29 @@ def _check_use(options: argparse.Namespace) -> None:
 def _add_arguments(parser: Parser) -> None:
     parser.add_argument('recording', metavar='RECORDING',
                         help='recording of torques and measurements, as for attitude_replay')
-    parser.add_scene('. Without a scene, the measured topics are compared with each other: the '
-                     'angular velocities, and other attitudes, with the attitudes of the topic '
-                     'that has the most of them')
+    parser.add_scene('. Without it, compare the measured topics with each other')
     parser.add_measured(
-        'measured topic (QuaternionStamped, PoseStamped, PoseWithCovarianceStamped, '
-        'TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped with an angular velocity), '
-        'or the name of a CSV file or TUM trajectory; may be repeated (default: the only topic '
-        'with one of these types, not counting Vector3Stamped)')
+        'measured topic, or CSV file or TUM trajectory; may be repeated (default: the only topic '
+        'of a type with attitudes)')
     parser.add_argument('--motion', metavar='FILE',
-                        help='compare the measurements with this recorded motion, such as the '
-                        'output of attitude_replay (MCAP, rosbag2 or CSV), instead of computing '
-                        'the motion')
+                        help='compare with this motion, such as the output of attitude_replay, '
+                        'instead of computing one')
     parser.add_argument('--align', type=_names, default=(), metavar='NAMES',
-                        help='what to fit, separated by commas (default: nothing). start fits the '
-                        'initial attitude and angular velocity. clock fits a constant clock '
-                        'offset for each sensor. mount fits a constant rotation between the axes '
-                        'of each sensor and the body axes, and one between the space axes of the '
-                        'sensors and those of the model. clock@TOPIC and mount@TOPIC fit only the '
-                        'sensor with this topic')
+                        help='what to fit, separated by commas: start (the initial state), clock '
+                        '(a clock offset for each sensor), mount (the axes of each sensor, and '
+                        'the space axes); clock@TOPIC and mount@TOPIC for one sensor (default: '
+                        'nothing)')
     parser.add_argument('--horizon', type=positive, action='append', metavar='SECONDS',
                         help='restart the model from the measurement every SECONDS, and report '
-                        'the error at the end of each interval; may be repeated (default: 0.1, 1 '
-                        'and 10, if the measurement is long enough)')
+                        'the error at the end; may be repeated (default: 0.1, 1 and 10)')
     parser.add_argument('--check', action='store_true',
-                        help='fit the initial state, then test, as attitude_identify does, '
-                        'whether the model explains the measurements; if it is rejected, the exit '
-                        'status is 4')
+                        help='fit the initial state, and exit with status 4 if the model does not '
+                        'explain the measurements')
     parser.add_argument('-o', '--output', metavar='RESIDUALS',
-                        help='write the topics /error/rotation_vector, /error/angular_velocity '
-                        'and /residual_torque to this MCAP file or, if the name does not end in '
-                        '.mcap, to a new rosbag2 folder')
+                        help='write the errors and the residual torque to this MCAP file or, '
+                        'without .mcap, rosbag2 folder')
     parser.add_degrees()
-    parser.add_outputs(
-        json='write the result, with units, to this file',
-        plot='plot the same charts as --report',
-        report='the measured and the computed motion, the errors, the torques and the summary')
+    parser.add_outputs('json', 'plot')
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -142,49 +142,43 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
 
 def _add_arguments(parser: Parser) -> None:
     parser.add_scene()
-    parser.add_argument('--vary', required=True, metavar='FILE',
-                        help='YAML file with the distribution of each dispersed parameter, or a '
-                        'JSON file from attitude_identify, whose estimates then vary jointly')
-    parser.add_argument('--force', action='store_true', help='use the JSON file from '
-                        'attitude_identify even if it contains a rejected fit')
+    parser.add_argument('--vary', required=True, metavar='FILE', help='YAML file with the '
+                        'distributions, or JSON file of attitude_identify, whose estimates vary '
+                        'jointly')
+    parser.add_argument('--force', action='store_true', help='use the JSON file even if its fit '
+                        'is rejected')
     parser.add_argument('--runs', required=True, metavar='N', help='number of runs',
                         type=within(1, 10 ** 9, 'an integer', int))
     parser.add_argument('--recording', metavar='IN',
                         help='torque recording, as for attitude_replay (default: no torque)')
     parser.add_torques()
-    parser.add_argument('--controller', metavar='MODULE:FUNCTION', help='Python function that '
-                        'acts as the controller in the loop: it takes the state and the time '
-                        'since the start (s) and returns a torque (N m, body axes). Each run '
-                        'calls the function at every step of the scene. If FUNCTION is a class, '
-                        'each run creates its own instance and calls that instead')
+    parser.add_argument('--controller', metavar='MODULE:FUNCTION', help='Python function, or '
+                        'class with an instance for each run, that is called at every step of the '
+                        'scene with the state and the time since the start (s), and returns a '
+                        'torque (N m, body axes)')
     parser.add_argument('--require', action='append', default=[], metavar='EXPRESSION',
-                        help="limit on the final state of a run, such as 'rate < 0.05'. You can "
-                        'limit rate (rad/s), angle (rad, between the body axes and the space '
-                        'axes) or angle_from_nominal (rad, from the final attitude of the nominal '
-                        'run). The command reports what share of the runs meets the limit, and '
-                        'which parameters matter most. It also lists the worst runs, with '
-                        'commands that compute them again. The option may be repeated')
+                        help="limit on the final state, such as 'rate < 0.05': rate (rad/s), "
+                        'angle (rad, between body and space axes) or angle_from_nominal (rad); '
+                        'report how many runs meet it, which parameters matter, and the worst '
+                        'runs; may be repeated')
     parser.add_argument('--until', type=positive, metavar='SECONDS',
                         help='end SECONDS after the start (default: at the last torque stamp); '
                         'required without a recording')
     parser.add_argument('--times', type=_times, default=FINAL, metavar=f'HZ|{FINAL}',
-                        help='which states of each run to store: HZ stores that many states per '
-                        'second and the final state, in motion.zarr; final stores only the final '
-                        'state (default: final)')
+                        help='states of each run to store: HZ per second and the final one, in '
+                        'motion.zarr, or only the final one (default: final)')
     parser.add_argument('--seed', type=within(0, 2 ** 63 - 1, 'an integer', int), default=0,
                         metavar='S', help='seed of the random numbers (default: 0)')
     pool = parser.add_mutually_exclusive_group()
     pool.add_argument('--workers', type=within(1, 1024, 'an integer', int), metavar='K',
-                      help='number of threads or, with --controller, of processes; the number '
-                      'does not change the results (default: one per processor)')
+                      help='number of threads or, with --controller, processes, which does not '
+                      'change the results (default: one per processor)')
     pool.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
-                      'this Dask scheduler: HOST:PORT, tcp://HOST:PORT, or the file that the '
-                      'scheduler wrote; this does not change the results')
+                      'this Dask scheduler, HOST:PORT or the file that it wrote, with the same '
+                      'results')
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
-                        help='folder for the results: either a new one, or one that already '
-                        'contains results of the same ensemble')
-    parser.add_outputs(report='the summary, the histogram of the final angles, the percentiles of '
-                       'the angles over time, and the rank correlations')
+                        help='folder for the results: new, or with results of the same ensemble')
+    parser.add_outputs()
 
 
 def _times(text: str) -> float | str:
@@ -197,10 +191,9 @@ def _times(text: str) -> float | str:
 
 attitude_ensemble = Command(
     'attitude_ensemble',
-    'Compute many runs with dispersed parameters. Write a row for each run with the applied '
-    'values and the final state. Print how far the runs end from the nominal run, and which '
-    'parameters matter. If the command is started again, it continues where it stopped; with a '
-    'larger --runs, it adds runs.',
+    'Compute many runs with dispersed parameters, and write the values and the final state of '
+    'each. Print how far the runs end from the nominal run, and which parameters matter. Start it '
+    'again to continue, or with a larger --runs to add runs.',
     ('--scene config/tumbler.yaml --vary examples/vary.yaml '
      '--recording test/recordings/tumbler.mcap --runs 1000 -o runs',
      '--scene config/tumbler.yaml --vary examples/vary.yaml --until 20 '

@@ -96,53 +96,42 @@ def _suffix(output: str | None) -> str:
 def _add_arguments(parser: Parser) -> None:
     parser.add_argument('recording', metavar='RECORDING', nargs='+',
                         help='recording of torques and measurements, as for attitude_replay; '
-                        'several recordings of the same body are fitted together. The torques of '
-                        'a PX4 log (.ulg) are normalized, so estimate torque_gains; in this '
-                        'case, the inertia must be known or have a --prior')
+                        'several recordings of the same body are fitted together')
     parser.add_scene()
-    parser.add_measured('measured topic, as for attitude_compare; may be repeated (default: the '
-                        'only topic with attitudes)')
+    parser.add_measured('measured topic, or CSV file or TUM trajectory; may be repeated (default: '
+                        'the only topic of a type with attitudes)')
     parser.add_argument('--estimate', type=_names, default=('inertia', 'start'), metavar='NAMES',
-                        help='what to estimate, separated by commas (default: inertia,start). For '
-                        'the body: inertia or inertia_diagonal, start, weight, damping, '
-                        'rotor_momentum, or NAME.moment of a field of the scene. For the torques: '
-                        'torque_gain or torque_gains, torque_bias, torque_delay or torque_lag. '
-                        'For every sensor: clock_offset, clock_drift, mount, gyro_bias or '
-                        'gyro_scale; for one sensor, add its topic, as in clock_offset@TOPIC')
+                        help='what to estimate, separated by commas (default: inertia,start): '
+                        'inertia or inertia_diagonal, start, weight, damping, rotor_momentum, '
+                        'NAME.moment of a field; torque_gain or torque_gains, torque_bias, '
+                        'torque_delay or torque_lag; of sensors clock_offset, clock_drift, mount, '
+                        'gyro_bias, gyro_scale, or of one sensor clock_offset@TOPIC')
     parser.add_argument('--prior', type=_prior, action='append', default=[], metavar='NAME=SIGMA',
-                        help='standard deviation of the guess for a parameter, in the unit of the '
-                        'parameter or, with a percent sign, relative to the guess. The guess is '
-                        'the value in the scene or, if scenes have no such parameter, the value '
-                        'that has no effect. For a parameter that is not estimated, this is its '
-                        'plausible size as a suspect. The option may be repeated')
+                        help='standard deviation of the guess of a parameter, in its unit or in '
+                        'percent of the guess, which is the value in the scene or has no effect; '
+                        'of a parameter that is not estimated, its plausible size as a suspect; '
+                        'may be repeated')
     parser.add_argument('--gravity', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
-                        help='gravity acting on the estimated weight, m/s^2, space axes (default: '
-                        '0 0 -9.80665)')
+                        help='gravity for weight, m/s^2, space axes (default: 0 0 -9.80665)')
     parser.add_argument('--accept', type=positive, metavar='PART',
-                        help='reject the fit if the half-width of an interval exceeds this '
-                        'fraction of the scale of its estimate; for the inertia, the scale is the '
-                        'mean moment of inertia (default: any width)')
+                        help='reject the fit if the half-width of an interval exceeds this part '
+                        'of its estimate or, for the inertia, of the mean moment of inertia '
+                        '(default: any width)')
     parser.add_argument('--attitude-noise', type=positive, metavar='RAD',
                         help='standard deviation of each component of a measured attitude '
-                        '(default: estimated for each topic)')
+                        '(default: estimated)')
     parser.add_argument('--rate-noise', type=positive, metavar='RAD/S',
                         help='standard deviation of each component of a measured angular velocity '
-                        '(default: estimated for each topic)')
+                        '(default: estimated)')
     parser.add_argument('--validate', type=within(0.0, 0.9, 'a fraction'), default=0.0,
-                        metavar='FRACTION', help='leave this fraction at the end of each '
-                        'recording out of the fit, predict the motion there, and report the '
-                        'prediction errors')
+                        metavar='FRACTION', help='leave this part at the end of each recording '
+                        'out of the fit, and report the prediction errors there')
     parser.add_argument('-o', '--output', metavar='FITTED', help='write the scene with the '
-                        'estimates to this YAML file; if the name ends in .urdf, write the '
-                        'inertia as a one-link URDF instead')
+                        'estimates, or the inertia as a one-link URDF (.urdf)')
     parser.add_argument('--force', action='store_true', help='write the scene even if the data '
-                        'does not determine all estimates, or if the fit is rejected')
+                        'does not determine all estimates, or the fit is rejected')
     parser.add_degrees()
-    parser.add_outputs(
-        json='write the result to this file',
-        plot='plot the same charts as --report',
-        report='the estimates, the measured and the computed motion, the remaining errors and the '
-        'summary')
+    parser.add_outputs('json', 'plot')
 
 
 def _prior(text: str) -> tuple[str, str]:
@@ -164,10 +153,8 @@ attitude_identify = Command(
     'attitude_identify',
     'Estimate the inertia of a body, and other parameters, from measured attitudes and angular '
     'velocities under recorded torques. Print the estimates with their uncertainty, and whether '
-    'the model explains the measurements. Write a fitted scene (-o). If the data does not '
-    'determine all estimates, the exit status is 3; if the model does not explain the '
-    'measurements, the exit status is 4. In both cases, the command writes no scene without '
-    '--force.',
+    'the model explains the measurements. The exit status is 3 if the data does not determine all '
+    'estimates, and 4 if the model is rejected; -o then needs --force.',
     ('test/recordings/flight.mcap --scene config/tumbler.yaml --measured /mocap '
      '-o fitted.yaml',
      'test/recordings/flight.mcap --scene config/tumbler.yaml --measured /mocap '

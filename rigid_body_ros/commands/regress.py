@@ -188,32 +188,30 @@ def _span(options: argparse.Namespace, wheels: tuple[str, ...]) -> Span:
 
 def _add_arguments(parser: Parser) -> None:
     parser.add_argument('reference', metavar='REFERENCE',
-                        help='recording of the loop: a file that --update has written, or another '
-                        'recording with the accepted_torque and committed topics of a node. With '
-                        '--open-loop: an MCAP recording of the inputs and outputs of a node')
+                        help='recording of the loop, made by --update or with the topics '
+                        'accepted_torque and committed of a node; with --open-loop, an MCAP '
+                        'recording of the inputs and outputs of a node')
     parser.add_scene('. Not with --open-loop')
     parser.add_argument('--open-loop', action='store_true',
                         help='feed the recording to any node, one message at a time, and compare '
-                        'what it publishes with the recording')
+                        'what it publishes')
     parser.add_argument('--step', type=positive, default=0.0, metavar='SECONDS',
-                        help='with --open-loop, move /clock forward by SECONDS while no message '
-                        'is due, for a node with timers (default: only with the messages)')
+                        help='with --open-loop, move /clock by SECONDS while no message is due, '
+                        'for a node with timers (default: only with the messages)')
     parser.add_argument('--tolerance', type=_tolerance, metavar='RAD|FIELD=VALUE,...',
-                        help='accept attitudes that differ by at most this angle at the same '
-                        'stamps or, with --open-loop, numbers that differ by at most VALUE in a '
-                        'field, such as pose.pose.orientation or /odometry:pose (default: no bit '
-                        'may differ)')
+                        help='accept attitudes that differ by this angle at the same stamps or, '
+                        'with --open-loop, numbers that differ by VALUE in a field, such as '
+                        '/odometry:pose (default: no bit may differ)')
     parser.add_argument('--update', action='store_true',
-                        help='run the command twice and, if both runs are the same, write or '
-                        'replace the reference. With --open-loop, the outputs in the recording '
-                        'are replaced, which needs --overwrite')
+                        help='run the command twice and, if both runs are the same, write the '
+                        'reference or, with --open-loop and --overwrite, the outputs in the '
+                        'recording')
     parser.add_argument('--duration', type=positive, metavar='SECONDS',
-                        help='with --update, the length of the loop, measured by its stamps '
-                        '(default: as long as the reference)')
+                        help='with --update, length of the loop by its stamps (default: that of '
+                        'the reference)')
     parser.add_argument('--timeout', type=positive, default=60.0, metavar='SECONDS',
                         help='longest wall time of one loop (default: 60)')
-    parser.add_outputs(json='write the result to this file',
-                       report='both loops, their difference, and the moving body')
+    parser.add_outputs('json')
 
 
 attitude_regress = Command(

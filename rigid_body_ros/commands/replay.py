@@ -142,43 +142,33 @@ def _verify(options: argparse.Namespace) -> int:
 
 def _add_arguments(parser: Parser) -> None:
     parser.add_argument('input', metavar='INPUT', nargs='+',
-                        help='torque recording: an MCAP file, a rosbag2 bag, a PX4 log (.ulg) or '
-                        'a CSV file. A CSV file has the columns time (s), tx, ty, tz (N m), '
-                        'unless its first line names other columns, with units')
+                        help='torque recording: MCAP file, rosbag2 bag, PX4 log (.ulg) or CSV '
+                        'file with the columns time (s), tx, ty, tz (N m) or a heading')
     parser.add_scene()
     parser.add_torques()
     target = parser.add_mutually_exclusive_group()
     target.add_argument('-o', '--output', metavar='OUTPUT',
-                        help='write the motion to this MCAP file, to this CSV file (.csv) or, if '
-                        'the name has neither suffix, to a new rosbag2 folder; for several '
-                        'recordings, write a folder of MCAP files. The topics are attitude, '
-                        'euler_angles and angular_velocity, plus rotor_momentum if there are '
-                        'rotors, and wheel_states if there are named wheels. A CSV file has one '
-                        'line for each stamp, with the same values')
+                        help='write the motion to this MCAP file, CSV file (.csv) or, without '
+                        'suffix, rosbag2 folder; for several recordings, to a folder of MCAP '
+                        'files')
     target.add_argument('--verify', metavar='MOTION',
-                        help='compare the computed motion bit for bit with a recorded one: either '
-                        'the committed states of all epochs of a node, or the attitudes that a '
-                        'replay wrote, but not as CSV; if any bit differs, the exit status is 1')
+                        help='compare the motion bit for bit with the committed states of a node, '
+                        'or the attitudes of a replay (not CSV)')
     parser.add_interpolation()
     parser.add_argument('--rate', type=positive, metavar='HZ',
                         help='output rate (default: one output at each torque stamp)')
     parser.add_argument('--also', nargs='+', choices=('imu', 'tf', 'markers', 'input'), default=(),
-                        help='with -o, also write /imu/data (imu), /tf (tf), markers for rviz and '
-                        'Foxglove on /marker/... (markers), or a copy of the input messages '
-                        '(input)')
+                        help='with -o, also write /imu/data, /tf, markers for rviz and Foxglove, '
+                        'or a copy of the input messages')
     parser.add_span('--start').add_argument(
         '--duration', type=positive, metavar='SECONDS',
-        help='end the motion SECONDS after its start; if a node recorded the log, end each epoch '
-        'SECONDS after its start (default: at the last torque stamp)')
+        help='end the motion, or each epoch of the log of a node, SECONDS after its start '
+        '(default: at the last torque stamp)')
     parser.add_argument('--uncertain', metavar='FILE',
-                        help='compute the motion with the mean values in FILE, which is a file '
-                        'as for attitude_ensemble --vary, and how uncertain it is, without '
-                        'sampling')
-    parser.add_time_source('when a torque takes effect: at the stamp in its header, or when its '
-                           'message')
-    parser.add_outputs(
-        plot='plot Euler angles, quaternion, angular velocity and torque over time',
-        report='the moving body, the same plots as --plot, and the summary')
+                        help='compute the uncertainty of the motion, without sampling, from a '
+                        'file as for attitude_ensemble --vary, whose mean values apply')
+    parser.add_time_source()
+    parser.add_outputs('plot')
 
 
 attitude_replay = Command(

@@ -73,16 +73,11 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_torques()
     parser.add_span()
     parser.add_argument('--target', type=within(1e-15, 1.0), action='append', metavar='RAD',
-                        help='largest attitude error that the solver may have at any time during '
-                        'the motion; the command reports the interpolation error between torque '
-                        'samples separately; may be repeated (default: 1e-06)')
+                        help='largest attitude error of the solver at any time, without the '
+                        'interpolation error of the torques; may be repeated (default: 1e-06)')
     parser.add_argument('--all', action='store_true', help='print all settings, not only the '
                         'Pareto-optimal ones')
-    parser.add_outputs(
-        json='write all results, with units, to this file',
-        plot='plot the cost against the error, with one curve for each solver',
-        report='the same plot as --plot, the recommended lines to copy into the scene, and the '
-        'limits of accuracy')
+    parser.add_outputs('json', 'plot')
 
 
 attitude_tradeoff = Command(

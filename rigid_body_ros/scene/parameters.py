@@ -29,9 +29,8 @@ from rigid_body_ros.scene.quantities import FIELD, FIELD_MOMENT, MOMENT, QUANTIT
 
 _BODY, _DRAG, _ROTORS = (QUANTITIES[name] for name in ('inertia', 'damping', 'rotor_momentum'))
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
-_PRODUCT = ('off-diagonal entry of the inertia tensor, including the minus sign as in URDF: ixy = '
-            '- sum of m x y')
-_DAMPING = 'entry of the damping tensor D, body axes; the damping torque is -D w'
+_PRODUCT = 'off-diagonal entry of the inertia tensor, signed as in URDF: ixy = - sum of m x y'
+_DAMPING = 'entry of the damping tensor D, body axes; the torque is -D w'
 MODES = REALTIME, LOCKSTEP, CLOCK = 'realtime', 'lockstep', 'clock'
 TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
 #: The names of the quantities that can stay the same when the inertia changes; see `BodyLog`.
@@ -49,165 +48,151 @@ def _vector(name: str, unit: str, text: str, largest: float = BIG,
 
 
 ACTUATOR = (
-    Parameter('actuator.topics', [], '', 'the torque_topics that carry actuator commands; an '
-              'actuator has a delay, a limit and a lag'),
-    Parameter('actuator.delay', 0.0, 's', 'time from the stamp of an actuator command until the '
-              'command takes effect', (0.0, LONGEST)),
-    Parameter('actuator.time_constant', 0.0, 's', 'time constant of the first-order lag with '
-              'which the actuator torque follows its command; 0 means no lag, and any other value '
-              'must be at least 1e-9', (0.0, LONGEST)),
-    *(Parameter(f'actuator.limit.{axis}', 0.0, 'N m', 'largest torque about this axis, in the '
-                'axes (body or space) of the command; larger commands are clipped; 0 means no '
-                'limit', (0.0, BIG)) for axis in 'xyz'),
+    Parameter('actuator.topics', [], '', 'the torque_topics that carry actuator commands'),
+    Parameter('actuator.delay', 0.0, 's', 'time from the stamp of a command until it takes effect',
+              (0.0, LONGEST)),
+    Parameter('actuator.time_constant', 0.0, 's', 'first-order lag of the torque behind the '
+              'command; 0 means none, any other value must be at least 1e-9', (0.0, LONGEST)),
+    *(Parameter(f'actuator.limit.{axis}', 0.0, 'N m', 'commands are clipped to this torque, in '
+                'their own axes (body or space); 0 means no limit', (0.0, BIG)) for axis in 'xyz'),
 )
 #: The parameters of each uniform field and of each wheel, whose names begin with the name of the
 #: field or wheel.
 NAMED = {
     FIELDS: (
         *_vector(MOMENT, FIELD_MOMENT.unit, 'moment on which the field acts, body axes; for a '
-                 'weight, the mass times the vector from the pivot to the centre of mass'),
+                 'weight, mass times the vector from the pivot to the centre of mass'),
         *_vector(FIELD, 'm/s^2 or T', 'the field, space axes')),
     WHEEL_NAMES: (
-        *_vector('axis', '', 'wheel axis, in body axes; the length of this vector has no effect'),
-        Parameter('inertia', None, 'kg m^2', 'axial inertia of the wheel, which is included in '
-                  'the inertia of the body', (TINY, BIG)),
-        Parameter('initial_speed', 0.0, 'rad/s', 'initial speed of the wheel relative to the body',
+        *_vector('axis', '', 'wheel axis, body axes; the length has no effect'),
+        Parameter('inertia', None, 'kg m^2', 'axial inertia of the wheel, included in the '
+                  'inertia of the body', (TINY, BIG)),
+        Parameter('initial_speed', 0.0, 'rad/s', 'initial speed relative to the body',
                   (-1e9, 1e9)),
-        Parameter('friction', 0.0, 'N m s/rad', 'viscous friction of the wheel: a torque equal to '
-                  'friction times speed slows the wheel, and the opposite torque acts on the body',
+        Parameter('friction', 0.0, 'N m s/rad', 'viscous friction: friction times speed slows the '
+                  'wheel, and the opposite torque acts on the body',
                   (0.0, BIG)),
-        Parameter('max_torque', 0.0, 'N m', 'largest motor torque; larger commands are clipped to '
-                  'it; 0 means no limit', (0.0, BIG)),
-        Parameter('max_speed', 0.0, 'rad/s', 'largest speed to which commands drive the wheel; at '
-                  'this speed, the motor gives only what holds the speed; 0 means no limit',
+        Parameter('max_torque', 0.0, 'N m', 'commands are clipped to this torque; 0 means no '
+                  'limit', (0.0, BIG)),
+        Parameter('max_speed', 0.0, 'rad/s', 'commands drive the wheel to at most this speed, at '
+                  'which the motor gives only what holds it; 0 means no limit',
                   (0.0, BIG))),
 }
 PARAMETERS = {parameter.name: parameter for parameter in (
     *(Parameter(name, None, _BODY.unit, _MOMENT, (TINY, BIG)) for name in _BODY.components[:3]),
     *(Parameter(name, 0.0, _BODY.unit, _PRODUCT, (-BIG, BIG)) for name in _BODY.components[3:]),
-    Parameter('robot_description', '', '', 'URDF text, which gives the frames in which the node '
-              'accepts forces and, in place of inertia.*, the inertia'),
-    Parameter('link', '', '', 'link of robot_description that gives the body axes; fixed joints '
-              'weld links to it; if empty, the root of the only body that has an inertia'),
+    Parameter('robot_description', '', '', 'URDF text: the links in whose frames forces may be '
+              'given and, in place of inertia.*, the inertia'),
+    Parameter('link', '', '', 'link of robot_description that gives the body axes; empty means '
+              'the root of the only body with an inertia'),
     *(Parameter(name, 0.0, _DRAG.unit, _DAMPING, (0.0, BIG)) for name in _DRAG.components[:3]),
     *(Parameter(name, 0.0, _DRAG.unit, _DAMPING, (-BIG, BIG)) for name in _DRAG.components[3:]),
     *_vector('initial_attitude', '', 'initial attitude quaternion, body to space',
              default=(0.0, 0.0, 0.0, 1.0)),
     *_vector('initial_angular_velocity', RATE.unit, 'initial angular velocity, body axes', 1e9),
-    Parameter('plausible_speed', 10.0, 'rad/s', 'initial angular speed above which the node and '
-              'the commands warn that the numbers may be degrees per second', (0.0, 1e10)),
+    Parameter('plausible_speed', 10.0, 'rad/s', 'initial speed above which a warning says that '
+              'the numbers may be degrees per second', (0.0, 1e10)),
     *_vector('initial_rotor_momentum', _ROTORS.unit, 'initial momentum of the rotors relative to '
              'the body, body axes'),
     Parameter('start_time', 0, 'ns', 'time of the initial state; 0 means the stamp of the first '
-              'torque (replay, lockstep) or the first valid clock reading (realtime); a running '
-              'node reports the actual time in this parameter', (0, 2 ** 31 * 10 ** 9 - 1)),
-    Parameter('torque_topics', ['torque'], '', 'torque topics; the node and the commands add up '
-              'the torques from all of them'),
-    Parameter('wheels', False, '', 'whether the body has motor-driven rotors, which are described '
-              'by their total momentum'),
-    Parameter(WHEEL_NAMES, [], '', 'names of the wheels, in the order in which outputs list their '
-              'speeds; each wheel has the parameters NAME.axis, NAME.inertia, NAME.initial_speed, '
-              'NAME.friction, NAME.max_torque and NAME.max_speed'),
+              'torque (replay, lockstep) or the first clock reading (realtime); a running node '
+              'reports the actual time here', (0, 2 ** 31 * 10 ** 9 - 1)),
+    Parameter('torque_topics', ['torque'], '', 'torque topics, whose torques add up'),
+    Parameter('wheels', False, '', 'whether the body has motor-driven rotors, described by their '
+              'total momentum'),
+    Parameter(WHEEL_NAMES, [], '', 'names of the wheels, in the order of the outputs; each has '
+              'the parameters NAME.axis to NAME.max_speed'),
     *ACTUATOR,
-    Parameter(FIELDS, [], '', 'names of uniform fields; each field has the parameters NAME.moment '
-              'and NAME.field, and exerts the torque NAME.moment x NAME.field (cross product) on '
-              'the body'),
-    Parameter('orbit.mean_motion', 0.0, 'rad/s', 'mean motion of a circular orbit, in which the '
-              'gravity gradient exerts a torque on the body; 0 means no orbit', (0.0, BIG)),
-    *_vector('orbit.position', '', 'direction from the planet to the body, in space axes, at '
-             'start_time or, if start_time is 0, at the start of each epoch',
+    Parameter(FIELDS, [], '', 'names of uniform fields; each exerts the torque NAME.moment x '
+              'NAME.field (cross product)'),
+    Parameter('orbit.mean_motion', 0.0, 'rad/s', 'mean motion of a circular orbit with gravity '
+              'gradient; 0 means no orbit', (0.0, BIG)),
+    *_vector('orbit.position', '', 'direction from the planet to the body, space axes, at '
+             'start_time or, if that is 0, at the start of each epoch',
              default=(1.0, 0.0, 0.0)),
     *_vector('orbit.normal', '', 'orbit normal, about which the body revolves, space axes',
              default=(0.0, 0.0, 1.0)),
     Parameter('inertia_topic', False, '', 'whether messages on the topic inertia change the '
-              'inertia of the body'),
-    Parameter('inertia_change', KEEP_RATE, '', 'what is kept when the inertia changes: keep_rate '
-              'keeps the angular velocity, and mass that leaves the body carries its momentum '
-              'away; keep_momentum keeps the angular momentum, and the angular velocity jumps',
+              'inertia'),
+    Parameter('inertia_change', KEEP_RATE, '', 'what stays the same when the inertia changes: the '
+              'angular velocity (mass that leaves takes its momentum along), or the angular '
+              'momentum (the angular velocity jumps)',
               choices=INERTIA_CHANGES),
     Parameter('mode', REALTIME, '', 'realtime publishes the motion at publish_rate; lockstep '
-              'answers a torque stamped t with the state at t + step; clock publishes /clock, and '
-              'the motion at publish_rate of this clock, for controllers that run on a timer',
+              'answers a torque stamped t with the state at t + step; clock publishes /clock too, '
+              'for controllers that run on a timer',
               choices=MODES),
-    Parameter('step', 0.001, 's', 'in lockstep, time from the stamp of a torque to the stamp of '
-              'the state that answers it; in mode clock, the step of /clock', (1e-9, LONGEST)),
+    Parameter('step', 0.001, 's', 'in lockstep, time from a torque to the state that answers it; '
+              'in mode clock, step of /clock', (1e-9, LONGEST)),
     Parameter('real_time_factor', 1.0, '', 'in mode clock, simulated seconds per second; 0 means '
-              'as fast as the machine allows', (0.0, 1000.0)),
-    Parameter('time_source', HEADER, '', 'when a torque takes effect: at the stamp in its header, '
-              'or on arrival (for bags played without --clock)', choices=TIME_SOURCES),
+              'as fast as possible', (0.0, 1000.0)),
+    Parameter('time_source', HEADER, '', 'when a torque takes effect: at its stamp, or on arrival '
+              '(for bags played without --clock)', choices=TIME_SOURCES),
     Parameter('solver', Options.solver, '', 'integration method', choices=SOLVERS),
     Parameter('tolerance', Options.tolerance, '', 'limit on the truncation error of the attitude, '
-              'rad per radian of rotation; it does not cover rounding errors',
+              'rad per radian of rotation, without rounding errors',
               TOLERANCES),
-    Parameter('max_step', 0.0, 's', 'longest solver step; 0 means no limit, but the fixed-step '
-              'solvers need a value above 0', (0.0, BIG)),
-    Parameter('interpolation', 'hold', '', 'how the torque is interpolated between samples; the '
-              'node accepts only hold, because it does not know the next sample',
+    Parameter('max_step', 0.0, 's', 'longest solver step; 0 means no limit; fixed-step solvers '
+              'need a value above 0', (0.0, BIG)),
+    Parameter('interpolation', 'hold', '', 'torque between samples; the node accepts only hold',
               choices=INTERPOLATIONS),
-    Parameter('torque_timeout', Options.torque_timeout, 's', 'how long a torque sample is held; '
-              'after that, the torque is zero until the next sample; 0 means that each sample is '
-              'held until the next', (0.0, LONGEST)),
-    Parameter('history', 1.0, 's', 'how far the stamp of a torque may lag behind the newest '
-              'stamp; the node rejects older torques', (0.0, 3600.0)),
+    Parameter('torque_timeout', Options.torque_timeout, 's', 'how long a torque is held before it '
+              'becomes zero; 0 means until the next torque', (0.0, LONGEST)),
+    Parameter('history', 1.0, 's', 'how far the stamp of a torque may be behind the newest stamp',
+              (0.0, 3600.0)),
     Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may be ahead of the clock; '
-              'the node rejects torques that are further ahead; in simulated time, it rejects '
-              'them only after they have waited 0.5 s for the clock', (0.0, 3600.0)),
-    Parameter('max_past', 0.0, 's', 'how far the stamp of a torque may be behind the clock; the '
-              'node rejects older torques; 0 means as far as history permits', (0.0, LONGEST)),
+              'in simulated time, torques further ahead first wait 0.5 s for the clock',
+              (0.0, 3600.0)),
+    Parameter('max_past', 0.0, 's', 'how far the stamp of a torque may be behind the clock; 0 '
+              'means as far as history permits', (0.0, LONGEST)),
     Parameter('stamp_offset_warning', 0.1, 's', 'diagnostics warn if the stamps of a source are '
-              'off the clock by more than this (median), so that their torques act at the wrong '
-              'time; 0 turns the warning off', (0.0, LONGEST)),
-    Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps: reset begins an epoch '
-              'from the initial state, rebase begins one from the current state, and ignore '
-              'continues the motion', choices=TIME_JUMPS),
+              'off the clock by more than this (median); 0 turns this off', (0.0, LONGEST)),
+    Parameter('on_time_jump', RESET, '', 'when the clock jumps, reset begins an epoch from the '
+              'initial state, rebase from the current state; ignore continues the motion',
+              choices=TIME_JUMPS),
     Parameter('checkpoint', '', '', 'file to which the node writes its last committed state, once '
-              'a second and when it ends; if the file exists when a node starts, the node '
-              'continues from the state in it; empty means no file'),
-    Parameter('stale_after', 1.0, 's', 'if a source has sent no torque for longer than this and '
-              'its last torque still acts, the diagnostics and the log warn; 0 turns the warning '
-              'off',
-              (0.0, LONGEST)),
+              'a second and when it ends, and from which a new node continues'),
+    Parameter('stale_after', 1.0, 's', 'diagnostics and log warn if the last torque of a silent '
+              'source still acts after this time; 0 turns this off', (0.0, LONGEST)),
     Parameter('monitor.measured', [], '', 'topics of measured attitudes and angular velocities '
-              'that attitude_monitor reads'),
-    Parameter('monitor.window', 5.0, 's', 'length of a window; in each window, attitude_monitor '
-              'starts the model from the measurement at the beginning and compares it with the '
-              'measurement at the end', (1e-3, LONGEST)),
+              'for attitude_monitor'),
+    Parameter('monitor.window', 5.0, 's', 'length of the windows in which attitude_monitor '
+              'compares the model with the measurement', (1e-3, LONGEST)),
     Parameter('monitor.attitude_noise', 0.0, 'rad', 'standard deviation of each component of '
-              'the measured attitudes; attitude_monitor needs a value above 0', (0.0, BIG)),
+              'a measured attitude; attitude_monitor needs a value above 0', (0.0, BIG)),
     Parameter('monitor.rate_noise', 0.0, 'rad/s', 'standard deviation of each component of '
-              'the measured angular velocities; attitude_monitor needs a value above 0',
+              'a measured angular velocity; attitude_monitor needs a value above 0',
               (0.0, BIG)),
-    Parameter('monitor.false_alarms', 24.0, 'h', 'mean time between false alarms of '
-              'attitude_monitor, which are alarms that it raises although the model is correct',
+    Parameter('monitor.false_alarms', 24.0, 'h', 'mean time between alarms of '
+              'attitude_monitor while the model is correct',
               (TINY, BIG)),
-    Parameter('imu.gyro_noise_density', 0.0, 'rad/s/sqrt(Hz)', 'density of the white noise in the '
-              'angular velocity of imu/data', (0.0, 1e9)),
-    Parameter('imu.gyro_random_walk', 0.0, 'rad/s^2/sqrt(Hz)', 'density of the random walk of the '
-              'gyro bias in imu/data', (0.0, 1e9)),
-    *_vector('imu.gyro_bias', QUANTITIES['gyro_bias'].unit, 'constant bias of the angular '
-             'velocity in imu/data, body axes', 1e9),
+    Parameter('imu.gyro_noise_density', 0.0, 'rad/s/sqrt(Hz)', 'white noise of the angular '
+              'velocity in imu/data', (0.0, 1e9)),
+    Parameter('imu.gyro_random_walk', 0.0, 'rad/s^2/sqrt(Hz)', 'random walk of the gyro bias in '
+              'imu/data', (0.0, 1e9)),
+    *_vector('imu.gyro_bias', QUANTITIES['gyro_bias'].unit, 'constant gyro bias in imu/data, '
+             'body axes', 1e9),
     Parameter('imu.attitude_noise', 0.0, 'rad', 'standard deviation of the attitude error in '
               'imu/data, about each body axis', (0.0, math.pi)),
-    Parameter('imu.delay', 0.0, 's', 'delay of imu/data: each message contains the state from '
-              'this long before its stamp, or the start state if that is before the start',
-              (0.0, 3600.0)),
-    Parameter('imu.seed', 0, '', 'seed of the noise in imu/data; the noise depends only on the '
-              'seed and the stamp', (0, 2 ** 63 - 1)),
-    Parameter('odometry.attitude_variance', 0.0, 'rad^2', 'attitude variance about each axis, for '
-              'the covariance in odometry; 0 means unknown', (0.0, 1e9)),
+    Parameter('imu.delay', 0.0, 's', 'delay of imu/data: a message stamped t contains the state '
+              'at t - delay', (0.0, 3600.0)),
+    Parameter('imu.seed', 0, '', 'seed of the noise in imu/data, which depends only on seed and '
+              'stamp', (0, 2 ** 63 - 1)),
+    Parameter('odometry.attitude_variance', 0.0, 'rad^2', 'variance of the attitude about each '
+              'axis, in the covariance of odometry; 0 means unknown', (0.0, 1e9)),
     Parameter('odometry.rate_variance', 0.0, 'rad^2/s^2', 'variance of each component of the '
-              'angular velocity, for the covariance in odometry; 0 means unknown', (0.0, 1e9)),
-    Parameter('publish_clock', False, '', 'whether the node publishes the time of each state on '
-              '/clock in lockstep; in mode clock it always does'),
-    Parameter('publish_tf', False, '', 'whether the node also publishes the attitude on /tf, '
-              'which needs the package tf2_msgs'),
-    Parameter('publish_rate', 100.0, 'Hz', 'rate at which the node publishes the motion; you can '
-              'change it while the node runs', (1e-3, 2000.0)),
+              'angular velocity, in the covariance of odometry; 0 means unknown', (0.0, 1e9)),
+    Parameter('publish_clock', False, '', 'whether to publish the time of each state on /clock in '
+              'lockstep; in mode clock the node always does'),
+    Parameter('publish_tf', False, '', 'whether to publish the attitude on /tf, which needs '
+              'tf2_msgs'),
+    Parameter('publish_rate', 100.0, 'Hz', 'rate of the published motion; you can change it while '
+              'the node runs', (1e-3, 2000.0)),
     Parameter('euler_sequence', 'ZXZ', '', 'axes of the Euler angles: intrinsic in upper case, '
               'extrinsic in lower case'),
     Parameter('space_frame', 'world', '', 'frame_id of the space axes'),
     Parameter('body_frame', 'base_link', '', 'frame_id of the body axes, without frame_prefix'),
-    Parameter('frame_prefix', '', '', 'prefix for the frame_ids of the body and of the links in '
+    Parameter('frame_prefix', '', '', 'prefix of the frame_ids of the body and of the links in '
               'robot_description, as in robot_state_publisher'),
 )}
 #: Parameters that ROS declares on every node or on every managed node. These parameters are
