@@ -25,7 +25,6 @@ import sys
 
 from conftest import NAME, ROOT
 import pytest
-from rigid_body_ros import scene
 
 TEXT = (ROOT / 'README.md').read_text(encoding='utf-8')
 FENCED = re.findall(r'^```(\w+)\n(.*?)^```$', TEXT, re.DOTALL | re.MULTILINE)
@@ -44,18 +43,12 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_the_scene_of_the_readme_is_one(place):
-    block, = (text for language, text in FENCED if language == 'yaml')
-    (place / 'scene.yaml').write_text(block)
-    assert scene.load(place / 'scene.yaml').torque_timeout == 0.2
-
-
 def test_make_has_the_demo():
     assert re.search(r'^demo:', (ROOT / 'Makefile').read_text(), re.MULTILINE)
 
 
 def test_what_is_launched_is_there():
-    names = re.findall(r'`(\w+\.launch\.py)', TEXT)
+    names = re.findall(r'`(\w+\.launch\.py)', (ROOT / 'docs' / 'launch.md').read_text())
     assert {path.name for path in (ROOT / 'launch').iterdir() if path.is_file()} == set(names)
 
 
@@ -112,13 +105,3 @@ def test_the_node_of_the_readme_listens_and_is_heard(place, installed, domain):
         process.send_signal(signal.SIGINT)
         words, _ = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, words
-
-
-@pytest.mark.ros
-def test_the_closed_loop_of_the_readme_settles(place, installed, domain):
-    pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-    (node, controller), = (block for block in BLOCKS if 'ros2 run' in block[-1])
-    with run(node, installed, domain), run(controller, installed, domain) as process:
-        words, _ = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, words
-    assert 'settled within' in words
