@@ -61,14 +61,17 @@ class Session(LiveSession):
                    domain_id=self._domain)
         self.node = rclpy.create_node('live_session', context=self._context,
                                       use_global_arguments=False)
-        self._executor = executor_of(self._context)
         self._stderr_before = os.dup(2)
         os.dup2(self._stderr.fileno(), 2)  # the log of the node
         try:
-            self.tested = self.kind(context=self._context)
+            self._create()
         except BaseException:
             self._restore_stderr()
             raise
+
+    def _create(self):
+        self._executor = executor_of(self._context)
+        self.tested = self.kind(context=self._context)
         self._executor.add_node(self.tested)
 
     def _end(self, kind):
@@ -90,6 +93,13 @@ class Session(LiveSession):
             self._executor = SingleThreadedExecutor(context=self._context)
             self._executor.add_node(self.node)
         self.tested = None
+
+    def restart(self):
+        """Destroy the node, and create another."""
+        self._destroy()
+        self._executor.shutdown()
+        self._create()
+        self._executor.add_node(self.node)
 
     def stop(self):
         """Destroy the node, receive its last messages, return 0."""
@@ -159,6 +169,15 @@ def replayed(tmp_path, live):
     motion = run.problem().replaced(log=log).propagate(at=stamps_ns)
     return Run(stamps_ns, values, np.hstack([motion.attitude, motion.angular_velocity]),
                recorded.rows(is_torque))
+
+
+def finished(tmp_path, live):
+    """End a session, and return its run, whose replay has the bits of the committed states."""
+    live.dump_parameters(tmp_path / 'live.yaml')
+    assert live.stop() == 0
+    run = replayed(tmp_path, live)
+    np.testing.assert_array_equal(run.committed, run.replay)
+    return run
 
 
 def live_values(committed):

@@ -27,12 +27,12 @@ import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, scene
+from rigid_body_ros.commands import main
 from rigid_body_ros.live.events import FRAME, NOT_FINITE, RejectedError
 from rigid_body_ros.live.inputs import Inputs
 from rigid_body_ros.mechanics import urdf
 from robots import JOINTS, ROBOT, robot
 from std_msgs.msg import String
-from test_node import run_node
 import yaml
 
 pytestmark = pytest.mark.ros
@@ -120,12 +120,11 @@ def test_a_robot_without_an_inertia_ends_the_node_with_one_line(domain, paramete
 
 @pytest.mark.parametrize('argument', [
     'solver:=rk5', *at_night('Inertia.ixx:=1.0', 'max_step:=-1.0')])
-def test_a_mistake_is_reported_before_the_node_waits(domain, argument):
-    result = run_node(domain, '--ros-args', '-p', argument)
-    assert result.returncode == 2
-    assert WAITS not in result.stderr
-    assert result.stderr.splitlines()[-1].startswith(
-        f'attitude_node: error: {argument.partition(":=")[0]}: ')
+def test_a_mistake_is_reported_before_the_node_waits(domain, monkeypatch, capfd, argument):
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    assert main.attitude_node(['--ros-args', '-p', argument]) == 2
+    line, = capfd.readouterr().err.splitlines()  # without WAITS
+    assert line.startswith(f'attitude_node: error: {argument.partition(":=")[0]}: ')
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
