@@ -25,6 +25,7 @@ agree bit for bit for the same reason.
 """
 
 from rigid_body_ros.common.times import LONGEST
+from rigid_body_ros.propagation.crossings import Crossings
 from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.many import propagate_many, Trajectories
 from rigid_body_ros.propagation.models import AtLimit, Model
@@ -33,6 +34,6 @@ from rigid_body_ros.propagation.problem import Problem, propagate
 from rigid_body_ros.propagation.propagator import Propagator
 from rigid_body_ros.propagation.trajectory import Derivatives, Trajectory
 
-__all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'AtLimit', 'Derivatives', 'Integration', 'Model',
-           'Options', 'Problem', 'Propagator', 'Solver', 'Trajectories', 'Trajectory', 'propagate',
-           'propagate_many']
+__all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'AtLimit', 'Crossings', 'Derivatives',
+           'Integration', 'Model', 'Options', 'Problem', 'Propagator', 'Solver', 'Trajectories',
+           'Trajectory', 'propagate', 'propagate_many']

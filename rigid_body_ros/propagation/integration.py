@@ -16,7 +16,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
+from functools import partial
 from typing import Any, Generic
 
 import numpy as np
@@ -59,6 +60,7 @@ class Integration(Generic[Same]):
     def __init__(self, problem: Same) -> None:
         start = problem.start
         self.problem, self._end_ns = problem, start.time_ns
+        self._restart: Callable[[], Integration[Same]] | None = partial(Integration, problem)
         #: The current body (`_body`), and the same body without the axial inertia of the named
         #: wheels (`_carrier`).
         self._body = self._carrier = problem.body_at(start.time_ns)
@@ -161,7 +163,7 @@ class Integration(Generic[Same]):
             and the three samples after the end of the piece.
 
         """
-        self.problem = problem
+        self.problem, self._restart = problem, None
         self._continue(self._wheels and self._wheels_on(self._wheels.axial(self._end_ns)))
 
     def _continue(self, wheels: WheelTimeline | None) -> None:
@@ -253,7 +255,7 @@ class Integration(Generic[Same]):
                             end_ns, closed, self._wheels, tuple(self._events))
         if times_ns.size > count:
             times_ns = times_ns[:count]
-        return Trajectory(times_ns, motion, (usage,), momenta)
+        return Trajectory(times_ns, motion, (usage,), momenta, _restart=self._restart)
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the rotor momentum at given times in this piece, N m s, shape (m, 3)."""

@@ -19,14 +19,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+import math
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.engine import motion_layout
 from rigid_body_ros.mechanics import euler, so3
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.propagation.crossings import Crossings, crossings, Function, maximum, Restart
 from rigid_body_ros.propagation.models import at_limit, AtLimit, Model, SolverUsage
 from rigid_body_ros.propagation.wheels import WheelTimeline
 
@@ -82,6 +84,8 @@ class Trajectory:
     #: with one row for each time. None if there are no such wheels.
     _momenta: Floats | None = None
     derivatives: Derivatives | None = None
+    #: Returns an `Integration` from the start of the motion on; None in a piece of a motion.
+    _restart: Restart | None = None
 
     def __repr__(self) -> str:
         if not self.times_ns.size:
@@ -220,6 +224,71 @@ class Trajectory:
         """Return when named wheels are at their largest speed although commands drive them."""
         return at_limit([part for part in self._parts if part.wheels])
 
+    def crossings(self, function: Function, level: float = 0.0,
+                  period: float = math.inf) -> Crossings:
+        """
+        Return when a function of the state crosses a level.
+
+        The times do not depend on the times of this trajectory, except that the last of these
+        times ends the search, which begins with the motion.
+
+        Parameters
+        ----------
+        function : function
+            Takes a `Trajectory` and returns a number for each of its times. The function must be
+            as smooth as the motion. Where it jumps, or bends abruptly, times are rounded to a
+            nanosecond or so. Features that pass while the body turns by much less than a radian
+            and no torque changes may be missed.
+        level : float
+            The level. If the motion begins or ends at this level, it does not cross it there.
+        period : float
+            The period of a function that jumps by its period, such as 2 pi for Euler angles. The
+            level is then that modulo the period.
+
+        Raises
+        ------
+        ValueError
+            The function does not return a finite number for each time, or is not smooth; or this
+            trajectory is a piece of a motion.
+
+        """
+        return crossings(self._whole, function, self._breaks_ns, level, period)
+
+    def maximum(self, function: Function,
+                from_ns: int | None = None) -> float:
+        """
+        Return the largest value of a function of the state, up to the last time.
+
+        Parameters
+        ----------
+        function : function
+            See `crossings`.
+        from_ns : int, optional, ns
+            When to begin; by default, at the start of the motion.
+
+        """
+        breaks_ns = self._breaks_ns
+        if from_ns is not None:
+            breaks_ns = np.append(from_ns, breaks_ns[breaks_ns > from_ns])
+        return maximum(self._whole, function, breaks_ns)
+
+    @property
+    def _breaks_ns(self) -> Ints:
+        """Return the start, the end, and all times at which the motion is not smooth, ns."""
+        begins_ns = [part.start_ns for part in self._parts]
+        limits_ns = [time_ns for span in self.at_limit for time_ns in (span.begin_ns, span.end_ns)]
+        times_ns = np.unique(np.concatenate([
+            begins_ns, np.subtract(begins_ns, 1), limits_ns, np.add(limits_ns, 1),
+            *(part.timeline.times_ns for part in self._parts), [self._parts[-1].end_ns],
+        ]).astype(np.int64))
+        return times_ns[(times_ns >= begins_ns[0]) & (times_ns <= self._parts[-1].end_ns)]
+
+    @property
+    def _whole(self) -> Restart:
+        if self._restart is None:
+            raise ValueError('crossings: expected a whole motion, found a piece of one')
+        return self._restart
+
     @cached_property
     def angular_momentum_space(self) -> Floats:
         """Angular momentum in space axes, N m s, shape (m, 3), including the rotors."""
@@ -263,4 +332,4 @@ def joined(times_ns: NDArray[np.int64], parts: Sequence[Trajectory]) -> Trajecto
             if part._momenta is not None:
                 momenta[of_row == k] = part._momenta[:part.times_ns.size]
     return Trajectory(times_ns, motion, tuple(use for part in parts for use in part._parts),
-                      momenta)
+                      momenta, _restart=parts[0]._restart)
