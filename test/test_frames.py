@@ -37,7 +37,7 @@ def text(numbers):
     return ' '.join(map(repr, numbers.tolist()))
 
 
-@pytest.mark.parametrize('seed', range(20))
+@pytest.mark.parametrize('seed', range(4))
 def test_frames_are_composed_along_fixed_joints_in_both_directions(seed):
     random = np.random.default_rng(seed)
     count, centre = 8, random.normal(size=3)
@@ -116,8 +116,8 @@ def changed(old, new):
 @pytest.mark.parametrize(('robot', 'frame', 'reason'), [
     *((changed('revolute', kind), name,
        f"joint 'to_arm' ({kind}) moves it relative to the body")
-      for kind in ('revolute', 'continuous', 'prismatic', 'floating', 'planar')
-      for name in ('arm', 'hand') if (kind, name) != ('continuous', 'arm')),
+      for kind, name in (('revolute', 'arm'), ('continuous', 'hand'), ('prismatic', 'arm'),
+                         ('floating', 'hand'), ('planar', 'arm'))),
     (ROBOT, 'label', "no joints connect it to 'base_link'"),
     (ROBOT, 'map', "expected a link of the URDF whose forces are accepted: 'base_link', "
                    "'thruster', 'mast', 'footprint', 'lamp', 'propeller'"),
@@ -134,14 +134,9 @@ def changed(old, new):
       for axis, expected in (
           ('<axis xyz="0 -0.0 0"/>', 'a vector other than zero, found [0.0, -0.0, 0.0]'),
           ('<axis xyz="0 0 inf"/>', "3 finite numbers, found '0 0 inf'"),
-          ('<axis xyz="0 1"/>', "3 finite numbers, found '0 1'"),
           ('<axis/>', '3 finite numbers, found nothing'))),
-    (changed('xyz="0 0.2 0.1"', 'xyz="0 0.2"'), 'propeller',
-     "URDF joint 'to_propeller': xyz: expected 3 finite numbers, found '0 0.2'"),
     (changed('rpy="0.1 0.2 0.3"', 'quat_xyzw="0 0 0 1"'), 'lamp',
      "URDF joint 'to_lamp': expected the rotation as rpy, found quat_xyzw"),
-    (robot(*JOINTS, ('fixed', 'thruster', 'lamp', '0 0 0', '0 0 0')), 'mast',
-     "the joints between it and 'base_link' form a closed loop"),
     (robot(*JOINTS, ('fixed', 'lamp', 'footprint', '0 0 0', '0 0 0')), 'lamp',
      "the joints between it and 'base_link' form a closed loop")])
 def test_a_frame_that_is_not_fixed_is_rejected_with_the_reason(robot, frame, reason):
@@ -226,7 +221,7 @@ def test_a_replay_reads_and_writes_frames_with_the_prefix(tmp_path, scene_file):
     assert outputs[''] == outputs['one/']
 
 
-@pytest.mark.parametrize('body_frame', ['thruster', 'hand', 'label', 'propeller'])
+@pytest.mark.parametrize('body_frame', ['thruster', 'hand', 'label'])
 def test_a_body_frame_with_other_axes_is_warned_of_and_means_the_link(scene_file, body_frame):
     loaded = scene.load(scene_file(body_frame=body_frame))
     assert loaded.warnings == [
@@ -268,10 +263,9 @@ def motion(output):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-big-endian', 'rosbag2-sqlite3-none',
-                                  'split-mcap'])
+@pytest.mark.parametrize('form', ['mcap-big-endian', 'rosbag2-sqlite3-none'])
 def test_a_replay_of_wrenches_is_that_of_their_torques(tmp_path, scene_file, form):
-    loaded, sent = scene.load(scene_file()), wrenches(400)
+    loaded, sent = scene.load(scene_file()), wrenches(100)
     ends = []
     for name, recorded in (('wrenches', sent), ('torques', converted(sent))):
         (tmp_path / name).mkdir()
@@ -285,25 +279,16 @@ def test_a_replay_of_wrenches_is_that_of_their_torques(tmp_path, scene_file, for
     assert ends[0] == ends[1]
 
 
-@pytest.mark.slow
-def test_wrenches_that_do_not_fit_in_one_piece_are_converted_in_each(tmp_path, scene_file):
-    count, path = 150_000, tmp_path / 'long.mcap'
-    sent = wrenches(count, ['thruster', 'base_link'])
-    stamps = EPOCH_NS + np.arange(count) * 10 ** 6
-    rows = np.array(sent.frame_ids) == 'thruster'
-    with recording.Writer(path) as writer:
-        writer.add_topic('/torque', messages.WRENCH)
-        for stamp, frame_id, values in zip(stamps.tolist(), sent.frame_ids, sent.values):
-            writer.write('/torque', stamp, messages.WRENCH.encode(stamp, frame_id, values))
-    loaded = scene.load(scene_file())
-    result = replay(path, loaded, tmp_path / 'motion.mcap')
-    frames, torques = urdf.fixed_frames(ROBOT), np.empty((count, 3))
-    for name, chosen in (('thruster', rows), ('base_link', ~rows)):
-        torques[chosen] = frames[name].torque(sent.values[chosen, :3], sent.values[chosen, 3:])
+def test_wrenches_that_do_not_fit_in_one_piece_are_converted_in_each(tmp_path, scene_file,
+                                                                     monkeypatch):
+    monkeypatch.setattr('rigid_body_ros.recording.torques._SAMPLES', 100)
+    sent, loaded = wrenches(1000, ['thruster', 'base_link']), scene.load(scene_file())
+    path = bags.ours(tmp_path, bags.traffic(sent))
     log = recording.torque_log(path, recording.read(path), 'base_link', 'world',
                                links=loaded.links)
-    assert log.torques.tobytes() == torques.tobytes()
-    assert replay(path, loaded).last.attitude.tolist() == result.last.attitude.tolist()
+    assert log.torques.tobytes() == np.ascontiguousarray(converted(sent).values[:, 3:]).tobytes()
+    last = replay(path, loaded, tmp_path / 'motion.mcap').last
+    assert replay(path, loaded).last.attitude.tolist() == last.attitude.tolist()
 
 
 def test_interpolation_goes_from_frame_to_frame(tmp_path, scene_file):
@@ -325,7 +310,6 @@ def test_a_csv_file_has_torques_about_the_centre_of_mass(tmp_path, scene_file):
 @pytest.mark.parametrize(('frame_id', 'wrench', 'message'), [
     ('arm', [0, 0, 0, 0, 0, 1],
      "message 2: frame 'arm': joint 'to_arm' (revolute) moves it relative to the body"),
-    ('label', [0, 0, 0, 0, 0, 1], "message 2: frame 'label': no joints connect it to 'base_link'"),
     ('map', [0, 0, 0, 0, 0, 1],
      "message 2: frame_id: expected 'base_link' or '' (body axes) or 'world' (space axes), found "
      "'map'; links whose forces are accepted: 'thruster', 'mast', 'footprint', 'lamp', "
@@ -348,10 +332,9 @@ def test_a_bad_wrench_ends_a_replay_with_one_line(tmp_path, scene_file, capsys, 
     assert sorted(file.name for file in tmp_path.iterdir()) == ['log.mcap', 'scene.yaml']
 
 
-@pytest.mark.parametrize(('frame_id', 'wrench'), [
-    ('mast', [np.nan, 0, 0, 0, 0, 1]), ('mast', [0, 1.7e308, 0, -1.7e308, 0, 0]),
-    ('thruster', [0, 0, 0, 0, 0, np.inf])])
-@pytest.mark.parametrize('whole', [False, True])
+@pytest.mark.parametrize(('frame_id', 'wrench', 'whole'), [
+    ('mast', [np.nan, 0, 0, 0, 0, 1], False), ('mast', [0, 1.7e308, 0, -1.7e308, 0, 0], True),
+    ('thruster', [0, 0, 0, 0, 0, np.inf], False)])
 def test_a_torque_that_is_not_finite_is_skipped_and_counted(tmp_path, scene_file, frame_id, wrench,
                                                             whole):
     rows = [('mast', np.ones(6)), (frame_id, wrench), ('base_link', np.ones(6))]

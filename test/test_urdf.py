@@ -69,8 +69,7 @@ def about_fixed_axes(roll, pitch, yaw):
 
 
 @pytest.mark.parametrize('origin', [
-    '', '<origin/>', '<origin xyz="1 2 3"/>', '<origin rpy="0 0 0"/>',
-    '<origin rpy=" -0.0  0e0&#9;.0 " xyz="1 2 3"/>'])
+    '', '<origin xyz="1 2 3"/>', '<origin rpy=" -0.0  0e0&#9;.0 " xyz="1 2 3"/>'])
 def test_without_a_rotation_the_numbers_are_those_of_the_file(origin):
     body = RigidBody.from_urdf(robot(body=inertial(origin)), 'body')
     assert body.inertia.tolist() == [[0.1, -0.001, 0.003], [-0.001, 0.2, 0.007],
@@ -84,13 +83,7 @@ def test_a_rotated_tensor_is_that_of_the_rotated_masses(rpy):
     found = turned(rpy, (0.4, -0.2, 5.0)).inertia
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-15 * BODY.principal_moments[2])
     np.testing.assert_array_equal(found, found.T)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('rpy', TURNS)
-def test_a_rotation_leaves_the_principal_moments(rpy):
-    np.testing.assert_allclose(turned(rpy).principal_moments, BODY.principal_moments,
-                               rtol=0, atol=1e-15 * BODY.principal_moments[2])
+    np.testing.assert_array_equal(found, turned(rpy).inertia)  # the shift changes no bit
 
 
 def test_a_quarter_turn_swaps_the_entries():
@@ -99,11 +92,6 @@ def test_a_quarter_turn_swaps_the_entries():
     np.testing.assert_allclose(
         RigidBody.from_urdf(robot(body=text)).inertia,
         [[0.2, 0.001, -0.007], [0.001, 0.1, 0.003], [-0.007, 0.003, 0.3]], rtol=0, atol=1e-16)
-
-
-@pytest.mark.parametrize('rpy', TURNS)
-def test_the_shift_changes_no_bit(rpy):
-    np.testing.assert_array_equal(turned(rpy, (1e3, -2.0, 1e-3)).inertia, turned(rpy).inertia)
 
 
 def test_a_link_is_found_by_its_name_or_as_the_only_one_with_an_inertial():
@@ -120,17 +108,14 @@ def test_a_default_namespace_is_as_good_as_none():
                                   RigidBody.from_urdf(text).inertia)
 
 
-@pytest.mark.parametrize('rpy', ['0 0 0', *(' '.join(map(str, rpy)) for rpy in TURNS)])
+@pytest.mark.parametrize('rpy', ['0 0 0', '0.3 -1.1 2.5', '100 -200 300'])
 def test_a_moment_of_zero_is_refused_however_the_link_is_turned(rpy):
-    entries = {'ixx': 0, 'iyy': 1, 'izz': 1, 'ixy': 0, 'ixz': 0, 'iyz': 0}
+    origin, entries = f'<origin rpy="{rpy}"/>', {
+        'ixx': 0, 'iyy': 1, 'izz': 1, 'ixy': 0, 'ixz': 0, 'iyz': 0}
     with pytest.raises(ValueError, match='positive definite'):
-        RigidBody.from_urdf(robot(body=inertial(f'<origin rpy="{rpy}"/>', **entries)))
-
-
-def test_a_turned_thin_rod_is_a_body():
-    text = inertial('<origin rpy="0.3 -1.1 2.5"/>', ixx=1e-12, iyy=1, izz=1, ixy=0, ixz=0, iyz=0)
-    np.testing.assert_allclose(RigidBody.from_urdf(robot(body=text)).principal_moments[0], 1e-12,
-                               rtol=0.01)
+        RigidBody.from_urdf(robot(body=inertial(origin, **entries)))
+    thin = RigidBody.from_urdf(robot(body=inertial(origin, **{**entries, 'ixx': 1e-12})))
+    np.testing.assert_allclose(thin.principal_moments[0], 1e-12, rtol=0.01)
 
 
 FULL = robot(base_link='', body=inertial())
@@ -164,41 +149,31 @@ def test_what_is_no_link_with_an_inertia_is_refused(text, link, message):
         RigidBody.from_urdf(text, link)
 
 
-@pytest.mark.parametrize('link', ['', 'body'])
 @pytest.mark.parametrize(('text', 'message'), [
     ('<inertial/>', 'ixx: expected a finite number, found nothing'),
     *((inertial(**{name: None}), f'{name}: expected a finite number, found nothing')
       for name in DIGITS),
     (inertial(ixx='0,1'), "ixx: expected a finite number, found '0,1'"),
     (inertial(ixx='0.1 0.2'), "ixx: expected a finite number, found '0.1 0.2'"),
-    (inertial(iyy=''), "iyy: expected a finite number, found ''"),
     (inertial(ixy='nan'), "ixy: expected a finite number, found 'nan'"),
     (inertial(izz='-INF'), "izz: expected a finite number, found '-INF'"),
-    (inertial(izz='1e999'), "izz: expected a finite number, found '1e999'"),
     (inertial(izz='1_0'), "izz: expected a finite number, found '1_0'"),
     (inertial(ixz='\u0661'), "ixz: expected a finite number, found '\u0661'"),
     (inertial(izz='a&#10;b'), r"izz: expected a finite number, found 'a\nb'"),
     (inertial('<origin rpy="0 0"/>'), "rpy: expected 3 finite numbers, found '0 0'"),
-    (inertial('<origin rpy="0 0 0 1"/>'), "rpy: expected 3 finite numbers, found '0 0 0 1'"),
     (inertial('<origin rpy="0 0 9 deg"/>'), "rpy: expected 3 finite numbers, found '0 0 9 deg'"),
-    (inertial('<origin rpy="0 0 inf"/>'), "rpy: expected 3 finite numbers, found '0 0 inf'"),
-    (inertial('<origin xyz=""/>'), "xyz: expected 3 finite numbers, found ''"),
-    (inertial('<origin xyz="0 0 x"/>'), "xyz: expected 3 finite numbers, found '0 0 x'"),
+    (inertial('<origin xyz="0 0 inf"/>'), "xyz: expected 3 finite numbers, found '0 0 inf'"),
     (inertial('<origin rpy="0 0 ${pi}"/>'), "rpy: expected 3 finite numbers, found '0 0 ${pi}'"
      '; run xacro first'),
     (inertial('<origin quat_xyzw="0 0 0 1"/>'), 'expected the rotation as rpy, found quat_xyzw')])
-def test_what_is_no_inertia_is_refused_in_one_line_with_its_link(text, link, message):
+def test_what_is_no_inertia_is_refused_in_one_line_with_its_link(text, message):
     message = f"URDF link 'body': {message}"
-    with pytest.raises(ValueError, match=f'^{re.escape(message)}$'):
-        RigidBody.from_urdf(robot(base_link='', body=text), link)
+    for link in ('', 'body'):
+        with pytest.raises(ValueError, match=f'^{re.escape(message)}$'):
+            RigidBody.from_urdf(robot(base_link='', body=text), link)
 
 
-def test_a_tensor_of_no_body_is_refused_as_ever():
-    with pytest.raises(ValueError, match='sum of the other two'):
-        RigidBody.from_urdf(robot(body=inertial(izz='3.0')))
-
-
-@pytest.mark.parametrize('scale', [1.0, 1e-30, 1e22])
+@pytest.mark.parametrize('scale', [1e-30, 1e22])
 def test_a_body_written_as_urdf_has_the_same_numbers(scale):
     tensor = scale * BODY.inertia
     text = urdf.robot(tensor, 'a"<&b', ['1 ---> 2', 'torque --gain'])
@@ -234,7 +209,7 @@ def of_point_masses(random):
     return part(masses.sum(), tensor, centre, rpy), masses, positions
 
 
-@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('seed', range(3))
 def test_fixed_links_have_the_inertia_of_all_their_point_masses(seed):
     random, count = np.random.default_rng(seed), 6
     parents = [0, *(int(random.integers(child)) for child in range(1, count))]
@@ -273,13 +248,6 @@ def test_a_battery_has_the_lever_arm_of_its_joint():
     assert frames['battery'].torque([0.0, 0.0, 2.0], [0.0, 0.0, 0.0]).tolist() == [0.5, 0.0, 0.0]
 
 
-def test_a_dummy_inertia_on_the_root_hardly_matters():
-    url = robots.robot(fixed('root', 'hull', (0.0, 0.0, 0.5)), body='root', inertials={
-        'root': part(1e-9, 1e-9), 'hull': part(2.0, np.diag([0.05, 0.12, 0.14]))})
-    np.testing.assert_allclose(RigidBody.from_urdf(url).inertia, np.diag([0.05, 0.12, 0.14]),
-                               rtol=0, atol=2e-9)
-
-
 def test_a_far_origin_costs_no_digits():
     far = (1e9, -1e9, 1e9)
     url = robots.robot(fixed('map', 'a', far), fixed('a', 'b', (0.5, 0.0, 0.0)), body='map',
@@ -289,7 +257,7 @@ def test_a_far_origin_costs_no_digits():
                                   urdf.fixed_frames(url, 'a')['b'].position)
 
 
-@pytest.mark.parametrize('seed', range(10))
+@pytest.mark.parametrize('seed', range(3))
 def test_welded_masses_on_a_line_are_no_body(seed):
     random = np.random.default_rng(seed)
     line, angles = random.normal(size=3), random.uniform(-7.0, 7.0, 3)
@@ -307,7 +275,6 @@ SOLID = part(2.0, 0.25)
     ([fixed('footprint', 'base'), fixed('base', 'imu')], ['base', 'imu'], 'base'),
     ([fixed('footprint', 'base'), fixed('base', 'imu')], ['imu', 'footprint'], 'footprint'),
     ([fixed('base', 'hull'), fixed('hull', 'rod'), fixed('base', 'top')], ['rod', 'top'], 'base'),
-    ([fixed('base', 'hull'), fixed('base', 'top')], ['top'], 'top'),
     ([fixed('arm', 'base', kind='revolute'), fixed('base', 'imu')], ['imu', 'base'], 'base')])
 def test_without_a_name_the_root_of_the_masses_gives_the_axes(joints, solid, root):
     assert urdf.fixed_frames(robots.robot(
@@ -335,8 +302,6 @@ def test_several_bodies_are_named_by_their_roots():
 @pytest.mark.parametrize(('url', 'link', 'notes'), [
     (quadrotor(), 'base', ["welded to 'base' by fixed joints: battery, imu (total mass 1.5 kg)",
                            'left out, because joints move them: prop_1, prop_2, cap']),
-    (quadrotor(), 'imu', ["welded to 'imu' by fixed joints: base, battery (total mass 1.5 kg)",
-                          'left out, because joints move them: prop_1, prop_2, cap']),
     (quadrotor(), 'cap', ["welded to 'cap' by fixed joints: prop_2 (total mass 1 kg)",
                           'left out, because joints move them: base, battery, imu, prop_1']),
     (quadrotor(label=SOLID), 'base',
@@ -361,7 +326,6 @@ def test_a_single_mass_is_not_read_and_turns_with_the_link():
     (quadrotor(imu='<inertial/>'), "'imu': mass: value: expected a finite number, found nothing"),
     (quadrotor(imu=part('1 kg')), "'imu': mass: value: expected a finite number, found '1 kg'"),
     (quadrotor(imu=part(0)), "'imu': mass: expected a number greater than 0 (kg), found 0.0"),
-    (quadrotor(base=part(-1)), "'base': mass: expected a number greater than 0 (kg), found -1.0"),
     (quadrotor(imu=part().replace('<inertia ', '<inertia_ ')),
      "'imu': ixx: expected a finite number, found nothing"),
     (quadrotor(imu=part(xyz=(1e301, 0, 0))), "'imu': expected a position of at most 1e+300 m"),
@@ -380,8 +344,7 @@ def test_a_mass_that_cannot_be_welded_is_rejected_in_one_line_with_its_link(url,
             function(url, 'base')
 
 
-@pytest.mark.parametrize('old', ['xyz="0.2 0.0 0.1"', 'type="continuous"'])
-def test_an_invalid_joint_of_a_link_that_moves_does_not_matter(old):
-    new = {'type="continuous"': 'type="revolute"'}.get(old, 'xyz="0.2"')
-    np.testing.assert_array_equal(urdf.inertia(quadrotor().replace(old, new), 'base'),
+def test_an_invalid_joint_of_a_link_that_moves_does_not_matter():
+    invalid = quadrotor().replace('xyz="0.2 0.0 0.1"', 'xyz="0.2"')
+    np.testing.assert_array_equal(urdf.inertia(invalid, 'base'),
                                   urdf.inertia(quadrotor(), 'base'))
