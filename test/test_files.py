@@ -132,15 +132,13 @@ def test_a_complete_output_has_one_name(tmp_path, monkeypatch, link, overwrite):
     assert (file.read_text(), file.stat().st_nlink) == ('new', 1)
 
 
-@pytest.mark.parametrize('before', [None, 'old'])
-def test_on_a_full_disk_a_file_is_what_it_was(tmp_path, before):
+def test_on_a_full_disk_a_file_is_what_it_was(tmp_path):
     path = tmp_path / 'file'
-    if before:
-        path.write_text(before)
+    path.write_text('old')
     with files_up_to(512), pytest.raises(InputError,
                                          match='file: cannot write: File too large'):
         write(path, 1000 * 'x')
-    assert [part.read_text() for part in tmp_path.iterdir()] == ([before] if before else [])
+    assert [part.read_text() for part in tmp_path.iterdir()] == ['old']
 
 
 def test_what_goes_wrong_while_writing_leaves_nothing(tmp_path):
@@ -157,11 +155,7 @@ def test_a_new_file_has_the_mode_of_the_umask_and_a_replaced_one_keeps_its_own(t
             path.chmod(mode)
         write(path)
         assert stat.S_IMODE(path.stat().st_mode) == mode
-
-
-def test_a_new_folder_has_the_mode_of_the_umask(tmp_path, umask):
-    part = files.Part(tmp_path / 'folder', files.FOLDER)
-    part.complete()
+    files.Part(tmp_path / 'folder', files.FOLDER).complete()
     assert stat.S_IMODE((tmp_path / 'folder').stat().st_mode) == 0o750
 
 
@@ -170,14 +164,6 @@ def test_a_file_that_is_replaced_stays_private_while_it_is_written(tmp_path):
     path.touch(0o600)
     with files.atomic_output(path, '.json') as part:
         assert stat.S_IMODE(part.stat().st_mode) == 0o600
-
-
-def test_temporary_names_cannot_be_predicted(tmp_path):
-    names = set()
-    for _ in range(2):
-        with files.atomic_output(tmp_path / 'file', '.json') as part:
-            names.add(part.name)
-    assert len(names) == 2
 
 
 def test_a_temporary_file_never_replaces_another(tmp_path, monkeypatch):
@@ -216,12 +202,11 @@ def test_contents_are_on_the_disk_before_the_name(tmp_path, monkeypatch, kind):
                     ('replace', str(part.path)), ('fsync', str(tmp_path))]
 
 
-@pytest.mark.parametrize('minor', [3, 7], ids=['null', 'full'])
-def test_a_device_is_refused(tmp_path, minor):
+def test_a_device_is_refused(tmp_path):
     # Never a device in /dev: as root, broken code would replace it for the whole machine.
     device = tmp_path / 'device'
     try:
-        os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, minor))
+        os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, 3))
     except PermissionError:
         pytest.skip('only root may make a device')
     with pytest.raises(InputError, match='device: expected a regular file, found a device'):
@@ -278,7 +263,7 @@ def test_a_name_with_dots_is_a_name(tmp_path, name):
     files.check((tmp_path / name, '.mcap' if name.lower().endswith('mcap') else files.FOLDER))
 
 
-@pytest.mark.parametrize('suffix', ['.csv', '.json', '.png', '.bag', '.db3', '.txt', '.PNG'])
+@pytest.mark.parametrize('suffix', ['.csv', '.db3', '.PNG'])
 @pytest.mark.parametrize('expected', ['.mcap', files.FOLDER])
 def test_a_name_that_promises_another_format_is_refused(tmp_path, suffix, expected):
     with pytest.raises(InputError, match=f'expected a name ending .* found {suffix.lower()}'):
@@ -301,17 +286,6 @@ def test_what_changes_while_a_file_is_written_is_checked_again(tmp_path):
         part.write_text('new')
         source.rename(output)
     assert [path.read_text() for path in tmp_path.iterdir()] == ['input']
-
-
-def test_a_link_that_changes_while_a_file_is_written_leads_nowhere_else(tmp_path):
-    source, output = tmp_path / 'source', tmp_path / 'output'
-    source.write_text('input')
-    output.symlink_to('elsewhere')
-    with pytest.raises(InputError, match='would overwrite'), files.reading(source), \
-            files.atomic_output(output, '.json'):
-        output.unlink()
-        output.symlink_to(source)
-    assert source.read_text() == 'input'
 
 
 def test_an_input_that_takes_the_place_of_the_target_of_a_link_is_not_replaced(tmp_path):
@@ -355,7 +329,6 @@ def test_an_incomplete_file_gets_a_free_name(tmp_path):
     assert len(list(tmp_path.iterdir())) == 3
 
 
-@pytest.mark.parametrize('suffix', ['', '.mcap', '.db3', '.mcap.zst', '.yaml'])
 @pytest.mark.parametrize('use', [
     recording.read, lambda path: recording.topics(path, recording.TORQUES), read_measured,
     scene.load, lambda path: replay(path, TUMBLER), lambda path: read_motion(path, TUMBLER),
@@ -365,7 +338,8 @@ def test_an_incomplete_file_gets_a_free_name(tmp_path):
     lambda path: recording.FolderWriter(path).__enter__(),
     lambda path: files.check((path, '.png')),
     lambda path: files.protected('scene', path).__enter__()])
-def test_a_path_with_a_null_byte_is_one_line(tmp_path, use, suffix):
+def test_a_path_with_a_null_byte_is_one_line(tmp_path, use):
     words = r'a\\x00b.*: .*null (byte|character)|expected a name ending in'
-    with pytest.raises(InputError, match=words):
-        use(tmp_path / f'a\0b{suffix}')
+    for suffix in ('', '.mcap', '.db3', '.mcap.zst', '.yaml'):
+        with pytest.raises(InputError, match=words):
+            use(tmp_path / f'a\0b{suffix}')
