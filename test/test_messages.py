@@ -75,7 +75,7 @@ def test_definitions_are_those_of_ros(kind):
         assert [field[0] for field in fields] == [field[0] for field in STORE.fielddefs[name][1]]
     store = get_typestore(Stores.EMPTY)
     store.register(ours)
-    assert store.hash_rihs01(kind.name) == STORE.hash_rihs01(kind.name)
+    assert store.hash_rihs01(kind.name) == STORE.hash_rihs01(kind.name) == kind.type_hash
 
 
 @pytest.mark.parametrize('data', [b'', b'\0', b'\0\1\0\0', b'\0\7\0\0' + bytes(80), bytes(200),

@@ -15,7 +15,6 @@
 """attitude_replay: the numbers of the library, a summary, a picture, and one-line errors."""
 
 from dataclasses import replace
-import json
 import os
 import signal
 import subprocess
@@ -23,7 +22,16 @@ import sys
 import time
 
 import bags
-from conftest import at_night, CONFIG, EPOCH_NS, files_up_to, RECORDINGS, Reference, SECOND
+from conftest import (
+    at_night,
+    CONFIG,
+    EPOCH_NS,
+    files_up_to,
+    program,
+    RECORDINGS,
+    Reference,
+    SECOND,
+)
 import matplotlib.image
 import numpy as np
 import pytest
@@ -39,8 +47,7 @@ from rigid_body_ros.scene import InputError
 from rosbags.highlevel import AnyReader
 
 ISS = (str(RECORDINGS / 'iss.mcap'), '--scene', str(CONFIG / 'iss.yaml'))
-COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.commands import main; '
-                                 'sys.exit(main.attitude_replay())']
+COMMAND = program('attitude_replay')
 
 
 @pytest.fixture
@@ -75,7 +82,10 @@ def test_the_written_motion_is_that_of_the_library(output):
     (('--rate', '0.01'), np.arange(0, 28801, 100)),
     (('--rate', '3', '--until', '1'), [0, 1 / 3, 2 / 3, 1]),
     (('--until', '50'), [0, 20, 40, 50]),
-    (('--until', '28830.5'), [*range(0, 28801, 20), 28830.5])])
+    (('--until', '28830.5'), [*range(0, 28801, 20), 28830.5]),
+    (('--from', '40'), [*range(40, 28801, 20)]),
+    (('--start', '35', '--until', '85'), [40, 60, 80, 85]),
+    (('--from', '35', '--duration', '85'), [40, 60, 80, 100, 120])])
 def test_output_times(output, options, seconds):
     assert main.attitude_replay([*ISS, '-o', str(output), *options]) == 0
     stamps = recording.read(output, '/attitude', messages.QUATERNION).stamps_ns
@@ -130,56 +140,6 @@ def test_a_motion_in_csv_has_all_bits(tmp_path, monkeypatch, values, heading):
     np.testing.assert_array_equal(measured.angular_velocity, motion.angular_velocity)
 
 
-@pytest.mark.slow
-def test_a_motion_in_csv_is_compared_like_one_in_mcap(tmp_path):
-    flight = (str(RECORDINGS / 'flight.mcap'), '--scene', str(CONFIG / 'tumbler.yaml'))
-    errors = []
-    for name in ('motion.mcap', 'motion.csv'):
-        path, figures = str(tmp_path / name), tmp_path / f'{name}.json'
-        assert main.attitude_replay([*flight, '--rate', '50', '-o', path]) == 0
-        assert main.attitude_compare([*flight, '--measured', '/mocap', '--motion', path,
-                                      '--json', str(figures)]) == 0
-        errors.append(figures.read_text())
-    assert errors[0] == errors[1]
-    assert main.attitude_compare([*flight, '--measured', path, '--json', str(figures),
-                                  '--overwrite']) == 0
-    same = json.loads(figures.read_text())
-    assert same['rate_error_rad_s']['max'] == 0.0
-    assert same['attitude_error_rad']['max'] < 1e-15
-
-
-def test_a_csv_file_is_replaced_only_as_a_whole_and_on_request(tmp_path, capsys):
-    output = tmp_path / 'motion.csv'
-    output.write_text('before')
-    arguments = [*ISS, '-o', str(output)]
-    assert main.attitude_replay(arguments) == 2
-    assert 'motion.csv: output exists; choose another name, or add --overwrite' in \
-        capsys.readouterr().err
-    with files_up_to(10_000):
-        assert main.attitude_replay([*arguments, '--overwrite']) == 2
-    assert capsys.readouterr().err.endswith('motion.csv: cannot write: File too large\n')
-    assert output.read_text() == 'before'
-    assert [*tmp_path.iterdir()] == [output]
-    assert main.attitude_replay([*arguments, '--overwrite']) == 0
-    assert len(table(output)[1]) == 1441
-
-
-def test_an_error_within_the_motion_leaves_no_csv_file(tmp_path, capsys):
-    log = write_torques(tmp_path / 'log.mcap', [(EPOCH_NS + k, '', (0.0, 0.0, np.nan * (k > 9)))
-                                                for k in range(11)])
-    assert main.attitude_replay([log, *ISS[1:], '-o', str(tmp_path / 'motion.csv')]) == 2
-    assert 'expected a finite torque' in capsys.readouterr().err
-    assert [*tmp_path.iterdir()] == [tmp_path / 'log.mcap']
-
-
-def test_a_csv_file_of_torques_is_not_replaced_by_its_motion(tmp_path, capsys):
-    log = tmp_path / 'log.csv'
-    log.write_text('1,0,0,0\n2,0.1,0,0\n')
-    assert main.attitude_replay([str(log), *ISS[1:], '-o', str(log), '--overwrite']) == 2
-    assert 'log.csv: would overwrite the input' in capsys.readouterr().err
-    assert log.read_text() == '1,0,0,0\n2,0.1,0,0\n'
-
-
 def test_the_start_time_of_the_scene_counts(tmp_path, output):
     config = tmp_path / 'late.yaml'
     config.write_text((CONFIG / 'iss.yaml').read_text()
@@ -192,12 +152,12 @@ def test_the_start_time_of_the_scene_counts(tmp_path, output):
     assert main.attitude_replay([ISS[0], '--scene', str(config), '-o', str(output)]) == 2
 
 
-@pytest.mark.slow
-def test_interpolation_is_that_of_the_option_or_of_the_scene(tmp_path, output):
+def test_interpolation_is_that_of_the_option_or_of_the_scene(tmp_path):
     config = tmp_path / 'cubic.yaml'
     config.write_text((CONFIG / 'tumbler.yaml').read_text() + '    interpolation: cubic\n')
     recorded = RECORDINGS / 'tumbler.mcap'
-    ends = {name: replay(recorded, scene.load(path), interpolation=name).trajectory.attitude[-1]
+    ends = {name: replay(recorded, scene.load(path), interpolation=name,
+                         until=0.5).trajectory.attitude[-1]
             for path, name in ((CONFIG / 'tumbler.yaml', 'cubic'), (config, None),
                                (config, 'hold'), (CONFIG / 'tumbler.yaml', 'linear'))}
     np.testing.assert_array_equal(ends['cubic'], ends[None])
@@ -236,6 +196,7 @@ def test_the_effect_of_the_last_digits_is_reported_where_it_is_large(output):
     ordinary = replayed('thruster_pulses_irregular', output)
     assert 0.0 < ordinary.last_digits.effect < 1e-13
     assert 'last digits' not in ordinary.text()
+    assert replayed('constant_space_torque', output).last_digits is None  # no length
 
 
 @pytest.mark.parametrize(('name', 'limit'), [('_SAMPLES', 1), ('_ANGLE', 4.0)])
@@ -248,20 +209,6 @@ def test_the_effect_of_the_last_digits_covers_a_beginning(name, limit, output, m
     assert f' rad in the first {digits.covered:.9g} s of {digits.total:.9g} s: ' in result.text()
 
 
-def test_a_motion_of_no_length_has_no_last_digits(output):
-    assert replayed('constant_space_torque', output).last_digits is None
-
-
-@pytest.mark.slow
-def test_output_that_nobody_takes_is_told(output):
-    with open('/dev/full', 'w') as full:
-        result = subprocess.run([*COMMAND, *ISS, '-o', str(output)], stdout=full, check=False,
-                                stderr=subprocess.PIPE, text=True)
-    assert result.returncode == 2
-    line, = result.stderr.splitlines()
-    assert 'cannot write to standard output: No space left on device' in line
-
-
 def test_rounded_digits_of_a_tensor_are_told(tmp_path, output, capsys):
     plate = tmp_path / 'plate.yaml'
     plate.write_text('/**:\n  ros__parameters:\n'
@@ -271,18 +218,11 @@ def test_rounded_digits_of_a_tensor_are_told(tmp_path, output, capsys):
     assert 'exceeds the sum of the other two by 1.7 %' in capsys.readouterr().err
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
-@pytest.mark.parametrize('name', ['tumbler', 'thruster_pulses_irregular', 'constant_space_torque',
-                                  'torque_stream_1khz', 'iss'])
-def test_work_and_energy_agree(name, interpolation):
-    config = CONFIG / f'{name}.yaml'
-    config = config if config.exists() else RECORDINGS / f'{name}.yaml'
-    result = replay(RECORDINGS / f'{name}.mcap', scene.load(config), interpolation=interpolation)
+def test_work_and_energy_agree_under_an_interpolated_torque():
+    result = replayed('thruster_pulses_irregular', None, interpolation='cubic')
     imbalance, seconds = energy_balance(result.problem, result.trajectory)
     assert imbalance < 1e-9
-    span = result.trajectory.times_ns[-1] - result.start.time_ns
-    assert seconds == pytest.approx(span * 1e-9)
+    assert seconds == pytest.approx((result.last.time_ns - result.start.time_ns) * 1e-9)
 
 
 @pytest.mark.slow
@@ -297,26 +237,26 @@ def test_work_and_energy_are_compared_over_what_memory_allows(monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_picture_is_a_picture(tmp_path, output):
-    picture = tmp_path / 'motion.png'
-    assert main.attitude_replay([*ISS, '-o', str(output), '--plot', str(picture)]) == 0
+def test_any_file_name_makes_a_title_of_a_picture(tmp_path):
+    recorded, picture = tmp_path / os.fsdecode(b'$\\frac$ _{{ \xff.mcap'), tmp_path / 'p.png'
+    recorded.write_bytes((RECORDINGS / 'iss.mcap').read_bytes())
+    assert main.attitude_replay([str(recorded), *ISS[1:], '--plot', str(picture)]) == 0
     pixels = matplotlib.image.imread(picture)
     assert pixels.shape[:2] == (1272, 1080)
     assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 100
 
 
-@pytest.mark.slow
 def test_without_an_output_a_replay_prints_the_same_summary(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     printed = []
-    for arguments in (('-o', 'motion.mcap'), ('--plot', 'motion.png'), ()):
+    for arguments in (('-o', 'motion.mcap'), ()):
         assert main.attitude_replay([*ISS, *arguments]) == 0
         lines = capsys.readouterr().out.splitlines()
         if arguments:
-            assert lines.pop() == f'wrote         {arguments[1]}'
+            assert lines.pop() == 'wrote         motion.mcap'
         printed.append([line for line in lines if not line.startswith('speed')])
-    assert printed[0] == printed[1] == printed[2]
-    assert {path.name for path in tmp_path.iterdir()} == {'motion.mcap', 'motion.png'}
+    assert printed[0] == printed[1]
+    assert {path.name for path in tmp_path.iterdir()} == {'motion.mcap'}
 
 
 @pytest.mark.parametrize(('recordings', 'options', 'message'), [
@@ -327,50 +267,25 @@ def test_an_output_that_is_needed_is_asked_for(recordings, options, message, cap
     assert capsys.readouterr().err == f'attitude_replay: error: {message}\n'
 
 
-def bad_input(name, tmp_path):
-    """Return arguments that contain one mistake."""
-    good = write_torques(tmp_path / 'good.mcap', [(EPOCH_NS, '', [1.0, 0.0, 0.0])])
-    config = tmp_path / 'scene.yaml'
-    config.write_text((CONFIG / 'tumbler.yaml').read_text())
-    rows = {'nan': [(EPOCH_NS, '', [np.nan, 0, 0])], 'infinite': [(EPOCH_NS, '', [np.inf, 0, 0])],
-            'overflow': [(EPOCH_NS, '', [1e300, 0, 0]), (EPOCH_NS + SECOND, '', [0, 0, 0])],
-            'frame': [(EPOCH_NS, 'map', [1, 0, 0])], 'empty': []}
-    if name in rows:
-        good = write_torques(tmp_path / f'{name}.mcap', rows[name])
-    if name == 'not mcap':
-        (tmp_path / 'not.mcap').write_text('hello')
-        good = str(tmp_path / 'not.mcap')
-    texts = {'quaternion': 'initial_attitude: {w: 0.0}', 'key': 'inertias: {ixx: 1.0}'}
-    if name in texts:
-        config.write_text(config.read_text() + f'    {texts[name]}\n')
-    if name == 'inertia':
-        config.write_text(config.read_text().replace('izz: 0.140', 'izz: 9.0'))
-    arguments = [str(tmp_path / 'missing.mcap') if name == 'missing' else good,
-                 '--scene', str(tmp_path / 'none.yaml') if name == 'no scene' else str(config)]
-    if name == 'topic':
-        arguments += ['--topic', '/wrench']
-    if name == 'type':
-        arguments[0] = str(RECORDINGS / 'iss.mcap')
-        arguments += ['--topic', '/truth/attitude']
-    return arguments
-
-
-@pytest.mark.parametrize(('name', 'message'), [
-    ('missing', 'missing.mcap: cannot read the recording: No such file or directory'),
-    ('not mcap', 'not.mcap: expected an MCAP file'),
-    ('topic', 'good.mcap: expected a topic /wrench, found /torque (geometry_msgs/msg/'),
-    ('type', '/truth/attitude: expected geometry_msgs/msg/WrenchStamped or geometry_msgs/msg/'),
-    ('empty', 'empty.mcap: /torque: expected torques, found no message'),
-    ('nan', 'nan.mcap: /torque: expected a finite torque, found none among 1 messages'),
-    ('infinite', 'infinite.mcap: /torque: expected a finite torque'),
-    ('overflow', 'overflow.mcap: /torque: at '),
-    ('frame', "frame.mcap: /torque: message 1: frame_id: expected 'base_link'"),
-    ('quaternion', 'scene.yaml: attitude quaternion (x, y, z, w): expected a non-zero quaternion'),
-    ('inertia', 'scene.yaml: inertia: not physical, principal moments'),
-    ('key', 'scene.yaml: inertias.ixx: unknown key; did you mean inertia.ixx?'),
-    ('no scene', 'none.yaml: cannot read the scene: No such file or directory')])
-def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, capsys):
-    assert main.attitude_replay([*bad_input(name, tmp_path), '-o', str(output)]) == 2
+@pytest.mark.parametrize(('rows', 'more', 'message'), [
+    (None, '', 'bad.mcap: cannot read the recording: No such file or directory'),
+    ([], '', 'bad.mcap: /torque: expected torques, found no message'),
+    ([(EPOCH_NS, '', [np.nan, 0, 0])], '',
+     'bad.mcap: /torque: expected a finite torque, found none among 1 messages'),
+    ([(EPOCH_NS, '', [1e300, 0, 0]), (EPOCH_NS + SECOND, '', [0, 0, 0])], '',
+     'bad.mcap: /torque: at '),
+    ([(EPOCH_NS, 'map', [1, 0, 0])], '',
+     "bad.mcap: /torque: message 1: frame_id: expected 'base_link'"),
+    ([(EPOCH_NS, '', [1, 0, 0])], 'inertias: {ixx: 1.0}',
+     'scene.yaml: inertias.ixx: unknown key; did you mean inertia.ixx?'),
+    ([(EPOCH_NS, '', [1, 0, 0])], None, 'scene.yaml: cannot read the scene: No such file')])
+def test_a_mistake_is_answered_by_one_line(rows, more, message, tmp_path, output, capsys):
+    path, config = tmp_path / 'bad.mcap', tmp_path / 'scene.yaml'
+    if rows is not None:
+        write_torques(path, rows)
+    if more is not None:
+        config.write_text(f'{(CONFIG / "tumbler.yaml").read_text()}    {more}\n')
+    assert main.attitude_replay([str(path), '--scene', str(config), '-o', str(output)]) == 2
     captured = capsys.readouterr()
     line, = captured.err.splitlines()
     assert line.startswith('attitude_replay: error: ')
@@ -382,26 +297,19 @@ def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, caps
 @pytest.mark.parametrize(('arguments', 'message'), [
     (('-o', 'none/motion.mcap'), 'none/motion.mcap: cannot write: No such file or directory'),
     (('-o', '.'), '.: output exists; choose a new folder, or a name ending in .mcap'),
-    (('-o', 'pipe'), 'pipe: output exists; choose a new folder, or a name ending in .mcap'),
     (('-o', 'motion.json'), 'motion.json: expected a name ending in .mcap, or a folder name'),
-    (('-o', 'none/motion.csv'), 'none/motion.csv: cannot write: No such file or directory'),
-    (('-o', 'pipe.csv'), 'pipe.csv: expected a regular file, found a device, pipe or socket'),
     (('-o', 'motion.csv', '--also', 'tf'), '--also: expected an MCAP file or a rosbag2 folder as '
      'output, because a CSV file has no topics, found motion.csv'),
     (('-o', 'pipe.mcap'), 'pipe.mcap: expected a regular file, found a device, pipe or socket'),
     (('-o', 'motion.mcap', '--plot', 'pipe'), 'pipe: expected a regular file, found a device'),
-    (('-o', 'motion.mcap', '--plot', '.'), '.: expected a regular file, found a folder'),
     (('-o', 'motion.mcap', '--plot', 'p.pdf'), 'p.pdf: expected a name ending in .png, found'),
     (('-o', 'motion.mcap', '--until', '1e9'), '--until: expected an end at or before the latest'),
     (('-o', 'motion.mcap', '--rate', '1e9'), '--rate: expected at most 100000000 outputs'),
-    (('-o', 'motion.mcap', '--plot', 'motion.mcap'), 'would overwrite the output motion.mcap'),
-    (('-o', f'{ISS[0]}/x.mcap'), 'cannot write: Not a directory'),
-    (('-o', 'x' * 300), 'cannot write: File name too long'),
-    (('-o', 'motion.mcap', '--plot', 'none/p.png'), 'none/p.png: cannot write: No such file')])
+    (('-o', 'x' * 300), 'cannot write: File name too long')])
 def test_what_cannot_be_written_is_named(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     # Not a device: as root, broken code would replace it for the whole machine.
-    pipes = {tmp_path / name for name in ('pipe', 'pipe.mcap', 'pipe.csv')}
+    pipes = {tmp_path / name for name in ('pipe', 'pipe.mcap')}
     for pipe in pipes:
         os.mkfifo(pipe)
     assert main.attitude_replay([*ISS, *arguments]) == 2
@@ -428,24 +336,8 @@ def test_a_negative_duration_is_rejected(output, option):
                **{option: -1.0})
 
 
-def test_a_link_stays_a_link(tmp_path, output):
-    output.symlink_to(tmp_path / 'real.mcap')
-    assert main.attitude_replay([*ISS, '-o', str(output)]) == 0
-    assert output.is_symlink()
-    assert (tmp_path / 'real.mcap').is_file()
-
-
-@pytest.mark.slow
-def test_any_file_name_makes_a_title(tmp_path, output):
-    recorded = tmp_path / os.fsdecode(b'$\\frac$ _{{ \xff.mcap')
-    recorded.write_bytes((RECORDINGS / 'iss.mcap').read_bytes())
-    assert main.attitude_replay([str(recorded), *ISS[1:], '-o', str(output),
-                                '--plot', str(tmp_path / 'p.png')]) == 0
-
-
 @pytest.mark.parametrize('arguments', [('--verify', 'x'), ('--rate', '0'), ('--until', '1e300'),
-                                       ('--rate', '1e-300'), ('--until', '-1'), ('--rate', 'x'),
-                                       ('--interpolation', 'spline')])
+                                       ('--until', '-1'), ('--interpolation', 'spline')])
 def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
     with pytest.raises(SystemExit) as end:
         main.attitude_replay([*ISS, '-o', str(output), *arguments])
@@ -454,8 +346,7 @@ def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
 
 
 @pytest.mark.parametrize(('option', 'first', 'second'), [
-    ('--wheel-torque', '/one', '/other'), ('-o', 'a.mcap', 'b.mcap'),
-    ('--scene', 'a.yaml', 'b.yaml'), ('--rate', '1', '2'), ('--also', 'imu', 'tf'),
+    ('--wheel-torque', '/one', '/other'), ('-o', 'a.mcap', 'b.mcap'), ('--also', 'imu', 'tf'),
     ('--interpolation', 'hold', 'hold')])
 def test_an_option_that_is_given_twice_is_refused(option, first, second, capsys):
     assert main.attitude_replay([ISS[0], option, first, option, second]) == 2
@@ -469,25 +360,28 @@ def test_an_option_that_is_given_twice_is_refused(option, first, second, capsys)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('number', [signal.SIGINT, *at_night(signal.SIGTERM)])
-def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, number):
+@pytest.mark.parametrize(('number', 'more'), [
+    (signal.SIGINT, 'solver: taylor'), *at_night(
+        (signal.SIGTERM, 'solver: taylor'),
+        (signal.SIGTERM, 'initial_rotor_momentum: {z: 0.03}'))])
+def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, number, more):
     spin = RECORDINGS / 'fast_spin'  # for a day at 6000 rad/s, the series takes an hour
     config = tmp_path / 'spin.yaml'
-    config.write_text(f'{spin.with_suffix(".yaml").read_text()}    solver: taylor\n')
+    config.write_text(f'{spin.with_suffix(".yaml").read_text()}    {more}\n')
     process = subprocess.Popen([*COMMAND, f'{spin}.mcap', '--scene', str(config), '-o',
                                 str(output), '--until', '86400'], stderr=subprocess.PIPE,
                                text=True, start_new_session=True)
-    warning = process.stderr.readline()
+    warning, announced = process.stderr.readline(), process.stderr.readline()
     with pytest.raises(subprocess.TimeoutExpired):
-        process.communicate(timeout=3)
+        process.communicate(timeout=1)
     os.kill(process.pid, number)
-    _, words = process.communicate(timeout=60)
+    _, last = process.communicate(timeout=60)
     assert process.returncode == 128 + number
-    announced, last = words.splitlines()
     assert 'fast_spin.mcap: /torque: computing the motion takes about ' in announced
     assert warning.startswith(
         f'attitude_replay: warning: {config}: initial_angular_velocity: 6000 rad/s is 955')
-    assert last == 'attitude_replay: interrupted; no partial output was left'
+    assert last == 'attitude_replay: interrupted; no partial output was left\n'
+    assert not output.exists()
 
 
 @pytest.mark.slow
@@ -512,7 +406,8 @@ def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, out
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('where', ['weakref.finalize(thing, work)', 'Thing.__del__ = work'])
+@pytest.mark.parametrize('where', ['weakref.finalize(thing, work)',
+                                   *at_night('Thing.__del__ = work')])
 def test_a_signal_is_heard_where_python_drops_exceptions(where):
     script = f"""
 import os, signal, sys, time, weakref
@@ -554,13 +449,6 @@ def test_a_command_that_is_called_leaves_signals_to_its_caller(output):
 
 
 @pytest.mark.slow
-def test_no_progress_bar_where_nobody_watches(output):
-    result = subprocess.run([*COMMAND, *ISS, '-o', str(output)], capture_output=True, text=True,
-                            check=True)
-    assert result.stderr == ''
-
-
-@pytest.mark.slow
 def test_imu_and_tf_are_written_on_request(tmp_path, output):
     loaded = scene.load(CONFIG / 'tumbler.yaml')
     replay(RECORDINGS / 'tumbler.mcap', loaded, output, also=('imu', 'tf'))
@@ -586,8 +474,8 @@ def test_what_cannot_be_written_besides_is_refused(output):
                also=('imu', 'x'))
 
 
-@pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
-@pytest.mark.parametrize('keep', [False, True])
+@pytest.mark.parametrize(('keep', 'interpolation'), [
+    (False, 'hold'), (True, 'linear'), (False, 'cubic')])
 def test_a_motion_from_a_time_on_is_under_the_torque_of_this_time(output, keep, interpolation):
     source = recording.read(RECORDINGS / 'tumbler.mcap')
     result = replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'), output,
@@ -600,36 +488,21 @@ def test_a_motion_from_a_time_on_is_under_the_torque_of_this_time(output, keep, 
     np.testing.assert_array_equal(motion.attitude[0], result.last.attitude)
 
 
-@pytest.mark.slow
-def test_a_motion_may_start_after_many_pieces_of_the_torque_and_after_the_start_time(tmp_path,
-                                                                                     output):
-    late = tmp_path / 'late.yaml'
-    late.write_text((CONFIG / 'tumbler.yaml').read_text() + f'    start_time: {EPOCH_NS}\n')
-    rows = [(EPOCH_NS + k * SECOND // 1000, '', [1e-3 * (k % 7), 0.0, 0.0])
-            for k in range(30_000)]
-    arguments = [write_torques(tmp_path / 'long.mcap', rows), '-o', str(output), '--rate', '100']
-    motions = []
-    for path in (CONFIG / 'tumbler.yaml', late):
-        assert main.attitude_replay([*arguments, '--scene', str(path), '--from', '25.0005',
-                                    '--until', '26', '--overwrite']) == 0
-        motions.append(recording.read(output, '/attitude', messages.QUATERNION))
-    times_ns = EPOCH_NS + 25_000_500_000 + 10_000_000 * np.arange(100)
-    np.testing.assert_array_equal(motions[0].stamps_ns[:100], times_ns)
+def test_a_motion_may_start_after_many_pieces_of_the_torque_and_after_the_start_time(
+        tmp_path, output, monkeypatch):
+    monkeypatch.setattr('rigid_body_ros.recording.torques._SAMPLES', 100)
     run = scene.load(CONFIG / 'tumbler.yaml')
+    rows = [(EPOCH_NS + k * SECOND // 1000, '', [1e-3 * (k % 7), 0.0, 0.0]) for k in range(1500)]
+    log = write_torques(tmp_path / 'long.mcap', rows)
+    times_ns = EPOCH_NS + 1_250_500_000 + 10_000_000 * np.arange(10)
     motion = propagate(run.body, replace(run.start, time_ns=int(times_ns[0])), TorqueLog(
         [row[0] for row in rows], [row[2] for row in rows]), at=times_ns)
-    for found in motions:
-        np.testing.assert_array_equal(found.values[:100], motion.attitude)
-
-
-@pytest.mark.parametrize(('options', 'seconds'), [
-    (('--from', '40'), [*range(40, 28801, 20)]),
-    (('--start', '35', '--until', '85'), [40, 60, 80, 85]),
-    (('--from', '35', '--duration', '85'), [40, 60, 80, 100, 120])])
-def test_from_and_until_count_from_the_first_sample(output, options, seconds):
-    assert main.attitude_replay([*ISS, '-o', str(output), *options]) == 0
-    stamps = recording.read(output, '/attitude', messages.QUATERNION).stamps_ns
-    np.testing.assert_array_equal(stamps - EPOCH_NS, SECOND * np.array(seconds))
+    for start_ns in (0, EPOCH_NS):
+        late = replace(run, start=replace(run.start, time_ns=start_ns))
+        replay(log, late, output, start=1.2505, until=0.1, rate=100.0)
+        found = recording.read(output, '/attitude', messages.QUATERNION)
+        np.testing.assert_array_equal(found.stamps_ns[:10], times_ns)
+        np.testing.assert_array_equal(found.values[:10], motion.attitude)
 
 
 @pytest.mark.parametrize(('options', 'message'), [
@@ -688,13 +561,14 @@ def test_what_cannot_be_copied_is_told_before_anything_is_worked_out(tmp_path, o
     assert [path.name for path in tmp_path.iterdir()] == ['log.csv']
 
 
-@pytest.mark.slow
-def test_a_motion_that_cannot_go_on_leaves_nothing(tmp_path, output, capsys):
-    rows = [(EPOCH_NS + k * SECOND // 1000, '', [0.0 if k < 90_000 else 1e30, 0.0, 0.0])
-            for k in range(90_100)]
-    torques = write_torques(tmp_path / 'wild.mcap', rows)
-    assert main.attitude_replay([str(torques), '--scene', str(CONFIG / 'tumbler.yaml'), '-o',
-                                str(output)]) == 2
+@pytest.mark.parametrize('name', ['motion.mcap', 'motion.csv'])
+def test_a_motion_that_cannot_go_on_leaves_nothing(tmp_path, monkeypatch, capsys, name):
+    monkeypatch.setattr('rigid_body_ros.replay.batches._LARGEST', 4)
+    monkeypatch.setattr('rigid_body_ros.recording.torques._SAMPLES', 4)
+    torques = write_torques(tmp_path / 'wild.mcap', [
+        (EPOCH_NS + k * SECOND // 1000, '', [0.0 if k < 90 else 1e30, 0.0, 0.0])
+        for k in range(100)])
+    assert main.attitude_replay([torques, *ISS[1:], '-o', str(tmp_path / name)]) == 2
     assert 'turns faster than' in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ['wild.mcap']
 
@@ -775,7 +649,7 @@ def test_a_long_computation_is_announced(tmp_path, capsys, monkeypatch):
         f'{arguments[0]}: /torque: computing the motion takes about 0:00:00 (h:min:s)\n')
 
 
-@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('seed', range(2))
 def test_gaps_do_not_depend_on_the_pieces(seed):
     random = np.random.default_rng(seed)
     stamps = np.cumsum(random.integers(1, 10 ** 9, 300))
@@ -794,13 +668,14 @@ def test_gaps_do_not_depend_on_the_pieces(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('outputs', [
-    ['-o', 'm.mcap'], ['-o', 'm'], ['--report', 'm.html'], *at_night(['--plot', 'm.png'])],
+    ['-o', 'm.mcap'], ['-o', 'm'], ['-o', 'm.csv'], ['--report', 'm.html'],
+    *at_night(['--plot', 'm.png'])],
                          ids=' '.join)
 def test_a_disk_that_is_full_at_any_write_leaves_no_incomplete_output(tmp_path, monkeypatch,
                                                                       capsys, outputs):
     monkeypatch.chdir(tmp_path)
     arguments = [str(RECORDINGS / 'tumbler.mcap'), '--scene', str(CONFIG / 'tumbler.yaml'),
-                 '--rate', '1000', *outputs]
+                 '--rate', '500', *outputs]
     assert main.attitude_replay(arguments) == 0
     written = [path for path in [*tmp_path.rglob('*')] if path.is_file()]
     largest = max(path.stat().st_size for path in written)
@@ -809,7 +684,7 @@ def test_a_disk_that_is_full_at_any_write_leaves_no_incomplete_output(tmp_path, 
     if outputs[-1] == 'm':
         (tmp_path / 'm').rmdir()
     capsys.readouterr()
-    for size in np.random.default_rng(5).integers(0, largest, 5).tolist():
+    for size in np.random.default_rng(5).integers(0, largest, 3).tolist():
         with files_up_to(size):
             assert main.attitude_replay(arguments) == 2
         captured = capsys.readouterr()

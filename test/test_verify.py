@@ -47,8 +47,9 @@ def rewritten(source, target, change=lambda values: values, metadata=None):
     return target
 
 
-@pytest.mark.parametrize('name', ['motion.mcap', 'motion'])
-@pytest.mark.parametrize('options', [[], ['--rate', '37'], ['--interpolation', 'cubic']], ids=str)
+@pytest.mark.parametrize(('name', 'options'), [
+    ('motion.mcap', []), ('motion', ['--rate', '37']),
+    ('motion.mcap', ['--interpolation', 'cubic'])])
 def test_a_replay_comes_out_again(tmp_path, capsys, name, options):
     arguments = [str(TUMBLER), '--scene', str(SCENE)]
     assert main.attitude_replay([*arguments, '-o', str(tmp_path / name), *options]) == 0
@@ -110,8 +111,8 @@ def test_kernels_that_are_not_compiled_have_the_same_fingerprint():
 
 @pytest.mark.slow
 def test_a_fingerprint_that_is_damaged_is_unknown(tmp_path):
-    replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
-    for text in ['[1, 2]', '3', 'null', '{', '"x"', '[' * 100_000, '']:
+    replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap', until=1.0)
+    for text in ['[1, 2]', 'null', '{', '[' * 100_000, '']:
         path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'other.mcap',
                          metadata={'fingerprint': text})
         result = verify(TUMBLER, scene.load(SCENE), path)
@@ -196,15 +197,11 @@ def test_the_log_of_a_node_comes_out_again(tmp_path, capsys, topic, epochs):
     ({'torques_from': 7, 'start_time': 0},
      f'expected the initial attitude of the scene at {STAMPS[7]} ns, found an attitude 0.15 rad '
      'away: the recorder started late, or the scene or its start_time is not that of the run'),
-    ({'start_time': 0},
-     f'expected the initial attitude of the scene at {STAMPS[0]} ns, found an attitude 0.063 rad'),
     ({'without': (20, 21)}, 'expected a torque at the stamp of each state, found none for 2 of '
      f'51 states, the first at {STAMPS[20]} ns: a part of the torque log is missing'),
     # The recorder of both started late.
     ({'torques_from': 7, 'states_from': 8}, 'expected the first state at the start of the '
      f'motion, {START_NS} ns, found it at {STAMPS[7]} ns: the recorder started late, or'),
-    ({'torques_from': 7, 'states_from': 8, 'start_time': 0},
-     f'expected the initial attitude of the scene at {STAMPS[7]} ns, found an attitude '),
     ({'states_from': 51}, 'expected states, found no messages'),
     ({'start_time': START_NS + 5}, 'expected the first state at or after the start_time of the '
      f'scene, {START_NS + 5} ns, found it at {START_NS} ns')
@@ -244,16 +241,6 @@ def test_torques_that_came_after_the_last_committed_state_are_no_gap(tmp_path):
     assert main.attitude_replay([more, '--scene', config, '--verify', path]) == 0
 
 
-def test_a_motion_from_before_the_start_is_refused(tmp_path, capsys):
-    path = tmp_path / 'early.mcap'
-    with recording.Writer(path) as writer:
-        writer.add_topic('/attitude', messages.QUATERNION)
-        writer.write('/attitude', 5, messages.QUATERNION.encode(5, '', [0, 0, 0, 1]))
-    assert main.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert 'early.mcap: /attitude: expected the first state at or after the first torque' in line
-
-
 @pytest.mark.slow
 def test_a_folder_is_what_rosbag2_wants(tmp_path):
     result = replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion')
@@ -274,15 +261,6 @@ def test_a_folder_is_what_rosbag2_wants(tmp_path):
     assert ours.stamps_ns[-1] == result.last.time_ns
 
 
-def test_a_folder_that_is_there_stays_as_it_is(tmp_path, capsys):
-    (tmp_path / 'motion').mkdir()
-    assert main.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '-o',
-                                str(tmp_path / 'motion')]) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert 'motion: output exists; choose a new folder, or a name ending in .mcap' in line
-    assert [path.name for path in tmp_path.rglob('*')] == ['motion']
-
-
 def test_a_recording_says_how_it_was_made(tmp_path):
     replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
     with recording.Source(tmp_path / 'motion.mcap', '/attitude', [messages.QUATERNION]) as source:
@@ -290,10 +268,3 @@ def test_a_recording_says_how_it_was_made(tmp_path):
     assert json.loads(about['fingerprint']) == fingerprint()
     assert json.loads(about['scene']) == dict(scene.load(SCENE).values)
     assert about['torques'] == 'tumbler.mcap'
-
-
-@pytest.mark.parametrize('kind', messages.TYPES.values(), ids=lambda kind: kind.name)
-def test_types_are_told_apart_as_ros_does(kind):
-    from rosbags.typesys import get_typestore, Stores
-    store = get_typestore(Stores.ROS2_JAZZY)
-    assert kind.type_hash == store.hash_rihs01(kind.name)
