@@ -15,7 +15,6 @@
 """Clocks that are silent, stop, or jump ahead or back, and stamps from other clocks."""
 
 from dataclasses import replace
-import itertools
 
 from conftest import at_night, SECOND
 from live import decoded, replayed, TUMBLER
@@ -74,43 +73,31 @@ def wobble(now_ns):
     return [0.01 * np.sin(now_ns * 1e-9), 0.02, 0.01]
 
 
-def test_nothing_is_published_before_the_clock_is_valid(domain):
-    with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
-        live.publish(5 * SECOND, '', [1.0, 0.0, 0.0])
-        live.spin(0.5)
-        assert not any(live.received.values())
-        start_clock(live, 7 * SECOND)
-        assert live.stop() == 0
-        first = decoded(live, COMMITTED, messages.ODOMETRY)[0]
-        assert first.stamp_ns == 7 * SECOND
-        assert not live.torques
-
-
-@pytest.mark.parametrize('zero', [True, *at_night(False)])
-def test_time_zero_means_no_time_yet(domain, zero):
+def test_a_clock_that_is_not_yet_valid_and_one_that_stands(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
-        for _ in range(50 * zero):
-            live.set_clock(0)
+        live.publish(5 * SECOND, '', [1.0, 0.0, 0.0])
+        for _ in range(50):
+            live.set_clock(0)  # means that there is no time yet
             live.spin(0.01)
         assert not any(live.received.values())
-        run_clock(live, TICK_NS, SECOND)
-        live.wait_until(lambda: stamps(live), 'the attitude')
-        assert 0 < decoded(live, COMMITTED, messages.ODOMETRY)[0].stamp_ns <= SECOND
-
-
-def test_while_the_clock_stands_nothing_is_published_and_nothing_lost(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
         settle(live, 6 * SECOND)
         count = len(stamps(live))
-        live.spin(1.0)
+        live.wait_until(lambda: 'it stands at 6000000000 ns' in live.diagnosis(
+            'torques')[2], 'a warning')
+        assert live.diagnosis('torques')[1] == 1
         assert len(stamps(live)) == count
         live.publish(6 * SECOND + 1, 'base_link', [0.0, 0.0, 0.05])  # is still accepted
         run_clock(live, 6 * SECOND, 7 * SECOND, wobble)
         settle(live, 7 * SECOND)
+        live.wait_until(lambda: 'not advanced' not in live.diagnosis('torques')[2],
+                        'the end of the warning')
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
+        first = decoded(live, COMMITTED, messages.ODOMETRY)[0]
         run = replayed(tmp_path, live)
+    assert first.stamp_ns == 5 * SECOND
+    assert len(live.torques) == 23
     assert 6 * SECOND + 1 in run.stamps_ns
     np.testing.assert_array_equal(run.committed, run.replay)
 
@@ -260,19 +247,6 @@ def test_a_torque_may_overtake_a_clock_that_jumps_back(tmp_path, domain, ahead_n
 
 
 @pytest.mark.nightly
-def test_a_torque_that_is_late_is_rejected_where_the_clock_goes_on(domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
-        run_clock(live, 5 * SECOND, 8 * SECOND, wobble)
-        for _ in range(3):
-            live.publish(5 * SECOND + 1, '', [1.0, 0.0, 0.0])
-        run_clock(live, 8 * SECOND, 9 * SECOND, wobble)
-        settle(live, 9 * SECOND)
-        live.wait_until(lambda: live.diagnosis('torques')[0]['rejected: late'] == 3, 'a diagnosis')
-        assert live.stop() == 0
-    assert 5 * SECOND + 1 not in accepted(live)
-
-
-@pytest.mark.nightly
 def test_a_state_that_takes_long_is_published_while_the_clock_stands(domain):
     with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
         settle(live, 5 * SECOND)
@@ -281,18 +255,6 @@ def test_a_state_that_takes_long_is_published_while_the_clock_stands(domain):
         live.wait_until(lambda: accepted(live), 'the torque')
         settle(live, 10 * SECOND)
         live.wait_until(lambda: live.diagnosis('motion')[0]['deadlines missed'], 'a diagnosis')
-        assert live.stop() == 0
-
-
-@pytest.mark.nightly
-def test_a_torque_ahead_of_a_clock_that_jumps_back(domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=rebase',
-                     '-p', 'max_future:=0.999') as live:
-        settle(live, 5 * SECOND)
-        live.publish(5 * SECOND + 999 * 10 ** 6, '', [0.05, 0.0, 0.0])
-        live.wait_until(lambda: accepted(live), 'the torque')
-        run_clock(live, 3 * SECOND, 4 * SECOND, wobble)
-        settle(live, 4 * SECOND)
         assert live.stop() == 0
 
 
@@ -314,21 +276,6 @@ def test_a_reset_recovers_from_an_ignored_jump(tmp_path, domain):
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
-@pytest.mark.nightly
-def test_an_epoch_may_begin_before_the_first_torque(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
-        assert live.reset().success
-        for _ in range(5):
-            live.publish(live.now_ns(), '', [0.01, 0.0, 0.0])
-            live.spin(0.05)
-        live.wait_for_torques(5)
-        live.dump_parameters(tmp_path / 'live.yaml')
-        assert live.stop() == 0
-        run = replayed(tmp_path, live)
-    assert len(run.stamps_ns) == 6
-    np.testing.assert_array_equal(run.committed, run.replay)
-
-
 def test_a_given_start_time_holds_in_every_round_of_a_bag(tmp_path, domain):
     start_ns = 100 * SECOND + 12345
     with LiveSession(TUMBLER, domain, *SIMULATED, '-p', f'start_time:={start_ns}') as live:
@@ -344,17 +291,6 @@ def test_a_given_start_time_holds_in_every_round_of_a_bag(tmp_path, domain):
     common = [stamp_ns for stamp_ns in rounds[0] if stamp_ns in rounds[1]]
     assert len(common) > 5
     assert all(rounds[0][stamp_ns] == rounds[1][stamp_ns] for stamp_ns in common)
-
-
-def test_torques_of_another_clock_are_rejected_with_advice(domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
-        live.publish(live.now_ns() - 86400 * SECOND, 'base_link', [0.01, 0.0, 0.0])
-        live.publish(12 * SECOND, 'base_link', [0.01, 0.0, 0.0])
-        live.wait_for_torques(2)
-        words = live.end()
-    assert not live.torques
-    assert 'torque rejected (1 so far): late: stamped 86400' in words
-    assert 'play it with --clock and set use_sim_time, or set time_source:=arrival' in words
 
 
 def test_torques_may_be_timed_by_their_arrival(tmp_path, domain):
@@ -376,22 +312,22 @@ def test_torques_may_be_timed_by_their_arrival(tmp_path, domain):
 
 @pytest.mark.parametrize('source', ['header', *at_night('arrival')])
 def test_torques_between_two_ticks_of_the_clock_all_have_effect(tmp_path, domain, source):
-    tick_ns, count = SECOND // 10, 40
+    tick_ns, count = SECOND // 10, 20
     with LiveSession(TUMBLER, domain, *SIMULATED, '-p', f'time_source:={source}') as live:
         start_clock(live, 5 * SECOND)
-        for tick in range(10):
+        for tick in range(5):
             live.set_clock(5 * SECOND + tick * tick_ns)
             for number in range(count):
                 live.spin(0.1 / count)
                 stamp_ns = 5 * SECOND if source == 'arrival' else 0
                 live.publish(stamp_ns, '', [1e-3, 1e-4 * tick, 1e-5 * number])
-        live.wait_for_torques(10 * count)
-        settle(live, 6 * SECOND + tick_ns)
+        live.wait_for_torques(5 * count)
+        settle(live, 6 * SECOND)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
     np.testing.assert_array_equal(run.committed, run.replay)
-    assert len(run.accepted.stamps_ns) == 10 * count
+    assert len(run.accepted.stamps_ns) == 5 * count
     assert np.all(np.diff(run.accepted.stamps_ns) > 0)
 
 
@@ -470,21 +406,6 @@ def test_a_small_step_of_a_wall_clock_is_a_jump_if_no_step_is_allowed(monkeypatc
     readings = [(100, 1), (100.1, 1.1), (100.197, 1.2), (160.197, 61.2), (160.3, 61.3)]
     found = Fake(monkeypatch).jumps(readings, False, 1e-3, 1e-3)
     np.testing.assert_allclose(found, [0, 0, 0.097, 0, 0.103], atol=1e-6)
-
-
-def test_a_clock_that_stops_is_a_warning(domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
-        run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
-        live.wait_until(lambda: 'it stands at 6000000000 ns' in live.diagnosis(
-            'torques')[2], 'a warning')
-        assert live.diagnosis('torques')[1] == 1
-        ticks = itertools.count(6 * SECOND, TICK_NS)
-
-        def has_recovered():
-            live.set_clock(next(ticks))
-            return 'not advanced' not in live.diagnosis('torques')[2]
-        live.wait_until(has_recovered, 'the end of the warning')
-        assert live.stop() == 0
 
 
 def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
@@ -569,33 +490,40 @@ def offsets(live):
     return [float(pair.value) for pair in status.values if pair.key in OFFSETS]
 
 
-# A busy machine delivers a message late, so only `offsets` compares the figure.
-@pytest.mark.parametrize(('seconds', 'text'), [(-5.0, 's behind the clock (median)'),
-                                               (0.3, 's ahead of the clock (median)')])
-def test_the_clock_of_a_sender_that_is_off_is_named_until_it_is_right(domain, seconds, text):
-    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'history:=60.0') as live:
-        send_until(live, round(seconds * SECOND), lambda: text in live.diagnosis('torques')[2],
-                   'a warning')
-        assert live.diagnosis('torques')[1] == 1
-        np.testing.assert_allclose(offsets(live), seconds, atol=0.09)
-        send_until(live, -1000, lambda: live.diagnosis('torques')[2] == 'OK', 'its end')
-        assert text in live.end()
-
-
-def test_stamps_too_far_behind_the_clock_are_rejected(domain):
+def test_senders_whose_clocks_are_off_are_named_until_they_are_right(domain):
     with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'history:=60.0', '-p',
                      'max_past:=20.0') as live:
         live.publish(live.now_ns() - 30 * SECOND, '', [1e-3, 0.0, 0.0])
         live.publish(live.now_ns() - 10 * SECOND, '', [1e-3, 0.0, 0.0])
         live.wait_for_torques(2)
-        assert 'expected at most max_past (20 s)' in live.end()
-    assert len(live.torques) == 1
+        assert len(live.torques) == 1
+        # A busy machine delivers a message late, so only `offsets` compares the figure.
+        for seconds, text in ((-5.0, 's behind the clock (median)'),
+                              (0.3, 's ahead of the clock (median)')):
+
+            def is_named(seconds=seconds, text=text):
+                _, level, message = live.diagnosis('torques')
+                return level == 1 and text in message and np.allclose(offsets(live), seconds,
+                                                                      atol=0.09)
+            send_until(live, round(seconds * SECOND), is_named, 'a warning')
+            send_until(live, -1000, lambda: live.diagnosis('torques')[2] == 'OK', 'its end')
+        words = live.end()
+    assert 'expected at most max_past (20 s)' in words
+    assert 's behind the clock (median)' in words
 
 
-def test_messages_that_nobody_fills_are_named_until_they_are_filled(domain):
+def test_stamps_of_another_clock_are_rejected_and_those_that_nobody_fills_are_named(domain):
     with LiveSession(TUMBLER, domain, *RELIABLE) as live:
-        send_until(live, 0, lambda: live.diagnosis('torques')[2].startswith(
-            'OK; stamp 0, act on arrival: '), 'a note')
+        live.publish(live.now_ns() - 86400 * SECOND, 'base_link', [0.01, 0.0, 0.0])
+        live.publish(12 * SECOND, 'base_link', [0.01, 0.0, 0.0])
+        live.wait_for_torques(2)
+        assert not live.torques
+        send_until(live, 0, lambda: 'stamp 0, act on arrival: ' in live.diagnosis('torques')[2],
+                   'a note')
+        live.wait_until(lambda: live.diagnosis('torques')[2].startswith(
+            'OK; stamp 0, act on arrival: '), 'the end of the errors')
         assert live.diagnosis('torques')[1] == 0  # it is allowed
         send_until(live, -1000, lambda: live.diagnosis('torques')[2] == 'OK', 'its end')
-        assert live.stop() == 0
+        words = live.end()
+    assert 'torque rejected (1 so far): late: stamped 86400' in words
+    assert 'play it with --clock and set use_sim_time, or set time_source:=arrival' in words

@@ -33,35 +33,6 @@ pytestmark = pytest.mark.ros
 OK, WARN, ERROR = range(3)
 
 
-@pytest.mark.nightly
-def test_bad_torques_are_rejected_counted_and_change_nothing(tmp_path, domain):
-    with LiveSession(TUMBLER, domain) as live:
-        live.publish(live.now_ns(), 'base_link', [0.01, 0.0, 0.0])
-        live.spin(0.2)
-        now_ns = live.now_ns()
-        for frame_id, torque in (('base_link', [np.nan, 0, 0]), ('base_link', [0, np.inf, 0]),
-                                 ('map', [1, 0, 0]), ('base_link', [0, 1e30, 0])):
-            live.publish(now_ns, frame_id, torque)
-        live.publish(now_ns + 2 * SECOND, '', [1.0, 0, 0])
-        live.publish(now_ns - 3600 * SECOND, '', [1.0, 0, 0])
-        live.publish_bytes(b'\0\1\0\0' + bytes(8))
-        live.publish_bytes(messages.WRENCH.encode(now_ns, '', [9.0, 0, 0, 0, 0.01, 0]))
-        live.publish(0, '', [0, 0, 0.01])  # stamped by its arrival
-        live.spin(0.5)
-        live.dump_parameters(tmp_path / 'live.yaml')
-        words = live.end()
-        run = replayed(tmp_path, live)
-    assert run.accepted.values[:, 3:].tolist() == [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]]
-    assert now_ns < run.accepted.stamps_ns[-1] < now_ns + SECOND
-    np.testing.assert_array_equal(run.committed, run.replay)
-    for part in ('rejected (1 so far): too large: expected a torque of at most 4.49e+07 N m',
-                 'rejected (1 so far): not finite: expected a finite torque, found [nan, 0.0, 0.0',
-                 "found 'map'", 'rejected (1 so far): future: stamped', 's ahead of',
-                 'rejected (1 so far): late: ', 's behind the clock',
-                 'the force of a WrenchStamped is ignored, as it has no lever arm'):
-        assert part in words, words
-
-
 def finished(tmp_path, live):
     """End a session; check that a replay of the accepted torques gives the committed states."""
     live.dump_parameters(tmp_path / 'live.yaml')
@@ -119,6 +90,10 @@ def test_every_rejection_is_counted_under_its_cause(tmp_path, domain):
     assert len(run.accepted.stamps_ns) == 2
     for cause in faults:
         assert words.count(f' so far): {cause}: ') == 1  # logged once in five seconds
+    for part in ('too large: expected a torque of at most 4.49e+07 N m', "found 'map'",
+                 'not finite: expected a finite torque, found [nan, 0.0, 0.0', 's ahead of',
+                 's older than the newest torque'):
+        assert part in words, words
 
 
 def test_duplicates_and_bursts_are_taken(tmp_path, domain):

@@ -127,7 +127,7 @@ def test_a_mistake_is_reported_before_the_node_waits(domain, monkeypatch, capfd,
     assert line.startswith(f'attitude_node: error: {argument.partition(":=")[0]}: ')
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [signal.SIGTERM, *at_night(signal.SIGINT)])
 def test_a_signal_ends_a_node_that_waits(domain, parameters, number):
     session = LiveSession(parameters, domain)
     with tempfile.TemporaryFile() as log, subprocess.Popen(

@@ -69,7 +69,7 @@ def test_the_page_lists_every_cause_of_rejection():
 
 
 @pytest.mark.parametrize(('mode', 'arguments'), [
-    ('realtime', ()), ('lockstep', ()),
+    ('lockstep', ()),
     ('realtime', ('-p', 'torque_topics:=[torque, disturbance]', '-p', 'wheels:=true',
                   '-p', 'inertia_topic:=true', '-p', 'actuator.topics:=[torque]')),
     ('realtime', ('-p', 'torque_topics:=[torque, disturbance]', *NAMED,
