@@ -106,3 +106,30 @@ def test_epoch_of_the_recordings_defeats_float_seconds():
     # The premise of tests with present-day stamps: a sum in doubles loses tens of nanoseconds.
     seconds, nanoseconds = divmod(EPOCH_NS, 10 ** 9)
     assert abs(round((seconds + 1e-9 * nanoseconds) * 1e9) - EPOCH_NS) > 10
+
+
+def cross_matrix(a):
+    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+
+
+def test_matlab_computes_the_matrices_of_its_manual():
+    # The examples of quat2dcm, which returns R^T, and of quat2rotm, which returns R.
+    transposed = so3.matrix(so3.normalize([0.5, 0.3, 0.1, 1.0])).T
+    np.testing.assert_allclose(transposed, [
+        [0.8519, 0.3704, -0.3704], [0.0741, 0.6148, 0.7852], [0.5185, -0.6963, 0.4963]], atol=5e-5)
+    np.testing.assert_allclose(so3.matrix(so3.normalize([0.7071, 0.0, 0.0, 0.7071])), [
+        [1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], atol=5e-5)
+
+
+def test_jpl_and_basilisk_compute_the_transposed_matrix():
+    # Equation 62 of Trawny and Roumeliotis, and MRP2C in Basilisk's rigidBodyKinematics.c.
+    for *v, w in Q[0] * np.copysign(1.0, Q[0][:, 3:]):
+        v = np.array(v)
+        jpl = (2 * w ** 2 - 1) * np.eye(3) - 2 * w * cross_matrix(v) + 2 * np.outer(v, v)
+        sigma = v / (1 + w)
+        s, square = cross_matrix(sigma), sigma @ sigma
+        basilisk = np.eye(3) + (8 * s @ s - 4 * (1 - square) * s) / (1 + square) ** 2
+        expected = so3.matrix([*v, w]).T
+        np.testing.assert_allclose(jpl, expected, atol=8 * EPS)
+        np.testing.assert_allclose(basilisk, expected, atol=16 * EPS)
+        np.testing.assert_allclose(Rotation.from_mrp(sigma).as_quat(), [*v, w], atol=8 * EPS)
