@@ -17,8 +17,8 @@ Measure how often you can trust the verdict of `identify`.
 
 There are 20 kinds of correct models, 40 of incorrect models, and 10 that are a little wrong.
 Run `python benchmarks/campaign.py [--seeds N] [--levels 0.1,1,10] [--kind NAME]`. It prints one
-line for each recording of `simulated.py`, which shares no code with the package, and then the
-tables of `docs/campaign.md`.
+line for each recording of `simulated.py`, which shares no code with the package, then the table of
+`docs/validation.md`, the outcomes of each kind, and the recordings with a wrong verdict.
 """
 
 import argparse
@@ -128,7 +128,6 @@ def main():
             if is_right(one) and one.reasons:
                 print('   ', '; '.join(one.reasons), flush=True)
     shares(options.levels, found)
-    usefulness(options.levels, found)
     for title, group in (
             ('Right models', RIGHT), ('Wrong models', WRONG), ('Models a little wrong', LITTLE)):
         table(title, [kind for kind in group if kind in kinds], options.levels, found)
@@ -146,30 +145,37 @@ def is_of(group, one):
 
 
 def shares(levels, found):
-    """Print how often the verdict is right at each noise level."""
-    print('\n| noise | correct models called explained | intervals of correct models that cover '
-          'the true value | harmless incorrect models | incorrect models with the true cause '
-          'among the first two suspects |\n|---|---|---|---|---|')
-    for level in levels:
-        right = [one for one in found if one.level == level and is_right(one)]
-        wrong = [one for one in found if one.level == level and is_of(WRONG, one)]
-        cells = [share([one.verdict == 'explained' for one in right]),
-                 share([k < one.cover for one in right for k in range(6)]),
-                 share([one.is_good for one in wrong]),
-                 share([one.is_named for one in wrong if named(one.name).causes])]
-        print(f'| {level:g} | {" | ".join(cells)} |')
+    """Print how often the verdict is right, and how useful intervals are, at each noise level."""
+    columns = [_shares([one for one in found if one.level == level]) for level in levels]
+    print(f'\n| share | {" | ".join(f"noise {level:g}" for level in levels)} |\n'
+          f'|---|{"---|" * len(levels)}')
+    for name in columns[0]:
+        print(f'| {name} | {" | ".join(column[name] for column in columns)} |')
 
 
-def usefulness(levels, found):
-    """Print how useful the intervals of models are that are a little wrong."""
-    print('\n| noise | intervals that cover | median half-width / true error | rejected |\n'
-          '|---|---|---|---|')
-    for level in levels:
-        some = [one for one in found if one.level == level and is_of(LITTLE, one)]
-        widths = [width for one in some for width in one.widths]
-        print(f'| {level:g} | {share([k < one.cover for one in some for k in range(6)])} | '
-              f'{np.median(widths) if widths else np.nan:.2g} | '
-              f'{share([one.verdict == "rejected" for one in some])} |')
+def _shares(found):
+    """Return the shares of the table by name, for the recordings of one noise level."""
+    right, wrong, little = ([one for one in found if is_of(group, one)]
+                            for group in (RIGHT, WRONG, LITTLE))
+    widths = [width for one in little for width in one.widths]
+    return {
+        'correct models called *explained*': share([one.verdict == 'explained' for one in right]),
+        'intervals of correct models that cover the true value': _covering(right),
+        'incorrect models that are harmless: rejected, or at least five of the six intervals of '
+        'the inertia cover': share([one.is_good for one in wrong]),
+        'incorrect models with the true cause among the first two suspects, where one can be '
+        'named': share([one.is_named for one in wrong if named(one.name).causes]),
+        'intervals of models a little wrong that cover': _covering(little),
+        'their median half-width / true error (2.9 if errors are normal and sigmas exact)':
+            f'{np.median(widths) if widths else np.nan:.2g}',
+        'models a little wrong that are rejected': share([one.verdict == 'rejected'
+                                                          for one in little]),
+    }
+
+
+def _covering(found):
+    """Return the share of the intervals of the inertia that cover the true value."""
+    return share([place < one.cover for one in found for place in range(6)])
 
 
 def share(values):

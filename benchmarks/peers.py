@@ -19,10 +19,10 @@ Measure the error and the cost of this package and of its alternatives.
 
 Each contender runs each problem with a ladder of settings, from coarse to fine, until a run takes
 half a second. For each error level, the settings below this error that may be the fastest are
-timed in turns. This measurement gives all times and ratios of a table. Errors are angles, rad,
+timed in turns. This measurement gives all times and ratios of a problem. Errors are angles, rad,
 between the final attitude and a reference with 30 digits. All runs use one thread, and compilation
-is not timed. With --page, the tables are written into that file, between its lines `MARK` and
-`END`.
+is not timed. The tables show two levels, --json and --plot all of them. With --page, the tables
+are written into that file, between its lines `MARK` and `END`.
 """
 
 import argparse
@@ -48,6 +48,8 @@ PEERS = {'heyoka': 'heyoka', 'cyrk': 'CyRK', 'rk4': 'RK4, numba', 'scipy': 'scip
          'numpy': 'RK4, numpy', 'mujoco': 'MuJoCo', 'drake': 'Drake', 'basilisk': 'Basilisk'}
 US = 'rigid_body_ros'
 LEVELS = tuple(float(f'1e-{k}') for k in range(3, 14))
+#: The levels that have a table.
+SHOWN = LEVELS[0], LEVELS[-2]
 #: s; a ladder ends at the first rung that takes longer.
 LONGEST = 0.5
 #: s; a run that takes longer need not be repeated for a first estimate.
@@ -199,17 +201,15 @@ def verdict(ours, ratio):
     return f'{value:.3g}{word}'
 
 
-def table(name, rungs, least):
-    """Return the table of a problem: times, us, by contender and level, and smallest errors."""
-    ratios = duels(rungs)
-    lines = [f'### {name}: {TITLES[name]}', '',
-             *header('us', *(f'{level:.0e}' for level in LEVELS), 'least error')]
-    for who, some in rungs.items():
-        best = [cheapest(some, level) for level in LEVELS]
-        lines.append(row(who, *(f'{1e6 * rung.seconds:.3g}' if rung else '-' for rung in best),
-                         f'{least[who]:.0e}'))
+def table(level, results):
+    """Return the table of a level: times, us, by contender and problem, and the ratios."""
+    lines = [f'### Time of a run with an error below {level:.0e} rad', '', *header('us', *results)]
+    for who in dict.fromkeys(who for rungs, *_ in results.values() for who in rungs):
+        best = [cheapest(rungs.get(who, ()), level) for rungs, *_ in results.values()]
+        lines.append(row(who, *(f'{1e6 * rung.seconds:.3g}' if rung else '-' for rung in best)))
     lines.append(row('best peer / ours', *(
-        verdict(cheapest(rungs[US], level), ratios.get(level)) for level in LEVELS), ''))
+        verdict(cheapest(rungs[US], level), duels(rungs).get(level))
+        for rungs, *_ in results.values())))
     return [*lines, '']
 
 
@@ -289,12 +289,12 @@ def main():
         least = {who: min((rung.error for rung in some), default=math.nan)
                  for who, some in rungs.items()}
         results[name] = timed(rungs), least, failed
-    lines = described(modules, missing)
-    for name, (rungs, least, failed) in results.items():
-        lines += table(name, rungs, least)
-        lines += [f'* failed: {reason}' for reason in failed] + [''] * bool(failed)
-    text = '\n'.join(lines)
+    text = '\n'.join([*described(modules, missing), *(
+        line for level in SHOWN for line in table(level, results))])
     print(text)
+    for name, (*_, failed) in results.items():
+        for reason in failed:
+            print(f'* {name}, failed: {reason}')
     if arguments.json:
         arguments.json.write_text(json.dumps(
             {'machine': machine(), 'problems': {

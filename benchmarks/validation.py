@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Print the tables of docs/validation.md: published values, computed values and their differences.
+Print the tables of docs/validation.md: published values, and how far this package is from them.
 
     python benchmarks/validation.py [--page docs/validation.md]
 
@@ -33,108 +33,59 @@ from published import DataNotHereError, ROWS  # noqa: E402
 
 MARK = '<!-- what follows is printed by benchmarks/validation.py -->'
 END = '<!-- end of what is printed by benchmarks/validation.py -->'
-#: For each source: its heading, then the reference and the remarks.
+#: For each source: its heading and the remarks.
 TEXTS = {
-    'jeod': ("The Space Station of NASA's JEOD", [
-        "The reference is a log from NASA's JSC Engineering Orbital Dynamics (JEOD), in "
-        'github.com/nasa/jeod at commit 6550cf4e: '
-        '`verif/SIM_dyncomp/SET_test_val/RUN_9B/log_state_ASCII.csv`. The inertia is from '
-        '`verif/SIM_dyncomp/Modified_data/mass.py` in the same repository.',
-        'The inertia is a full tensor. The run lasts eight hours, and a torque of 10 N m about '
-        'body x acts from 1000 s to 2000 s. These two times were found from the jumps in the '
-        'logged acceleration. In the rows *against 32 digits*, the reference is a Taylor series '
-        'with 32 digits from the same initial state. The last row compares JEOD with this '
-        "series, and shows that JEOD's own error explains the difference between JEOD and this "
-        'package at the end of the run.']),
-    'nesc': ("The tumbling brick of NASA's check-cases", [
-        'The reference is simulation 4 of atmospheric case 3, the tumbling brick with damping, in '
-        'Murri, Jackson and Shelton, Check-cases for verification of 6-degree-of-freedom flight '
-        'vehicle simulations, NASA/TM-2015-218675. The data are also in '
-        'github.com/nasa/simupy-flight: '
-        '`NESC_data/Atmospheric_checkcases/Atmos_03_TumblingBrickDamping/Atmos_03_sim_04.csv`.',
-        'For the first two rows, the package replays the logged moments (torques) with cubic '
-        'interpolation. For the last row, the package fits the inertia to the logged moments, '
-        'attitudes and rates, starting from a sphere as the guess, and compares it with the '
-        'inertia of the check-case, in slug ft^2. The data are not part of this project. To '
-        'repeat the comparison, set `NESC_DATA` to the folder that contains '
-        '`atmos_03_sim_04.csv`. If `NESC_DATA` is not set, the test is skipped.']),
-    'toutatis': ('The asteroid Toutatis', [
-        'The moments, the initial state and the radar observations are from Takahashi, Busch '
-        'and Scheeres, Spin state and moment of inertia characterization of 4179 Toutatis, '
-        'Astronomical Journal 146:95, 2013. The numbers are the same as in the test `Toutatis` '
-        'in `physics/euler_solver_test.cpp` of github.com/mockingbirdnest/Principia at commit '
-        "f6bc70e5. That test also lists how far Principia's solution deviates from the radar "
-        'observations. The published periods are 5.38 +- 0.03 and 7.40 +- 0.03 days, from Zhao, '
-        "Hu and Ji, Revisit of rotational dynamics of asteroid 4179 Toutatis from Chang'e-2's "
-        'flyby, IAU Symposium 318, 156-159, 2016 (arXiv:1511.04357).',
-        'The prediction starts on 1992-11-09 and assumes no torque. The bound for each period '
-        'is its published uncertainty. The predicted principal axes, numbered from the smallest '
-        'moment to the largest, deviate from the radar observations by several degrees. The '
-        'axes that Principia predicts deviate by the same angles, to all the digits that '
-        "Principia's test lists. The last two rows compare the angles from Principia "
-        '(reference) with those from this package (computed), at the first and the last '
-        'observation of 1992.']),
-    'tops': ('Bodies without torque from the literature', [
-        'The bodies and the initial states come from three sources: Hairer and Vilmart, '
-        'Preprocessed discrete Moser-Veselov algorithm for the full dynamics of a rigid body, '
-        'J. Phys. A 39, 13225, 2006; van Zon and Schofield, Numerical implementation of the '
-        'exact dynamics of free rigid bodies, J. Comput. Phys. 225, 145, 2007, as in '
-        '`check_cases/notebooks/rotation/Rotations.ipynb` of github.com/JSBSim-Team/jsbsim; and '
-        'the boxes in github.com/scpeters/benchmark.',
-        'The sources do not list final states with enough digits, so the reference states come '
-        'from a Taylor series with 34 digits, which agrees with the closed form. The series '
-        'starts from the decimal numbers in the literature, whereas this package starts from '
-        'the same numbers rounded to doubles. The [period of the '
-        'rates](theory.md#motion-without-torque-in-closed-form) is 4 K / lambda, and the '
-        'computed period is an average over a million periods. If a body flips, it turns over '
-        'once in each half period.']),
-    'sweep': ('The sweep of Landau and Zener', [
-        'The source is Zener, Non-adiabatic crossing of energy levels, Proc. R. Soc. Lond. A 137, '
-        '696, 1932.',
-        'For a sphere under a constant torque, with the angular velocity w = (1, 0, t), the '
-        'attitude is known in closed form. R33 is the last entry of the rotation matrix. '
-        'Parabolic cylinder functions give its value after a finite time, and after an infinite '
-        'time it is 2 exp(-pi / 2) - 1. The last row compares the motion with this limit. '
-        'Instead of R33, this row uses the cosine of the angle between the final angular '
-        'velocity and the reversed initial angular velocity, in space axes, because this cosine '
-        'approaches the limit faster than R33 does. The difference in this row comes from the '
-        'finite duration of the motion, not from rounding.']),
-    'gyrostat': ('Rotors and damping', [
-        'The symmetric gyrostat follows Hughes, Spacecraft Attitude Dynamics, 1986. The dual spin '
-        'follows Schaub and Junkins, Analytical Mechanics of Space Systems, 2nd edition, 2009, '
-        'chapter 4, and Likins, Attitude stability criteria for dual spin spacecraft, J. '
-        'Spacecraft Rockets 4, 1638, 1967.',
-        'A symmetric body with a rotor of momentum h on its axis precesses: w1 + i w2 turns at '
-        'the rate ((I3 - I1) w3 + h) / I1. A sphere with the damping d turns about a fixed '
-        'axis, and its rate decays as exp(-d t / I). The wheels of a satellite can turn the '
-        'satellite, but they cannot change the total momentum in space. A spin about the '
-        'intermediate axis is stable if a rotor on that axis turns fast enough. For moments of '
-        '1, 2 and 3 kg m^2 and a spin of 1 rad/s, this spin is stable if |h| exceeds 1 N m s. A '
-        'spin about axis 1, the axis of the smallest moment, is unstable if h is between 1 and '
-        '2 N m s and stable for any other h, so its stability depends on the sign of h. In the '
-        'last four rows, the spin starts with a deviation of 1e-8 rad/s. The rate at which this '
-        'deviation grows or oscillates is known to first order in the deviation.']),
+    'jeod': ("The Space Station of NASA's JEOD",
+             'A log of github.com/nasa/jeod at commit 6550cf4e, '
+             '`verif/SIM_dyncomp/SET_test_val/RUN_9B/log_state_ASCII.csv`; a full tensor, eight '
+             'hours, 10 N m about body x from 1000 s to 2000 s. *Against 32 digits*: against a '
+             "Taylor series with 32 digits, which shows that the final difference is JEOD's."),
+    'nesc': ("The tumbling brick of NASA's check-cases",
+             'Atmospheric case 3, simulation 4, of Murri, Jackson and Shelton, '
+             'NASA/TM-2015-218675 (`NESC_data/Atmospheric_checkcases/'
+             'Atmos_03_TumblingBrickDamping/'
+             'Atmos_03_sim_04.csv` in github.com/nasa/simupy-flight; set `NESC_DATA` to its '
+             'folder). Logged moments are replayed with `cubic`; the inertia, slug ft^2, is '
+             'fitted from a sphere.'),
+    'toutatis': ('The asteroid Toutatis',
+                 'Moments, initial state and radar observations: Takahashi, Busch and Scheeres, '
+                 'Astronomical Journal 146:95, 2013. Periods: Zhao, Hu and Ji, arXiv:1511.04357. '
+                 'The last rows compare how far the axes are from radar with the test `Toutatis` '
+                 'of github.com/mockingbirdnest/Principia at f6bc70e5.'),
+    'tops': ('Bodies without torque from the literature',
+             'Hairer and Vilmart, J. Phys. A 39, 13225, 2006; van Zon and Schofield, J. Comput. '
+             "Phys. 225, 145, 2007; Gazebo's boxes in github.com/scpeters/benchmark. States are "
+             'compared with a Taylor series with 34 digits. The period is that [of the '
+             'rates](theory.md#motion-without-torque-in-closed-form), averaged over a million.'),
+    'sweep': ('The sweep of Landau and Zener',
+              'Zener, Proc. R. Soc. Lond. A 137, 696, 1932: a sphere under a constant torque with '
+              'w = (1, 0, t). R33 of the attitude is known in parabolic cylinder functions; its '
+              'limit is 2 exp(-pi / 2) - 1.'),
+    'gyrostat': ('Rotors and damping',
+                 'Hughes, Spacecraft Attitude Dynamics, 1986; Schaub and Junkins, Analytical '
+                 'Mechanics of Space Systems, 2009, chapter 4; Likins, J. Spacecraft Rockets 4, '
+                 '1638, 1967. A symmetric gyrostat precesses at ((I3 - I1) w3 + h) / I1; a damped '
+                 'sphere slows as exp(-d t / I). With moments 1, 2, 3 kg m^2 and a spin of '
+                 '1 rad/s, a spin about axis 2 is stable if |h| exceeds 1 N m s, and about axis 1 '
+                 'unless h is between 1 and 2 N m s.'),
 }
 
 
-def cells(name, compare, bound):
+def cells(name, compare):
     """Return the cells of a table row."""
     try:
-        reference, ours, apart = compare()
+        reference, _, apart = compare()
     except DataNotHereError as error:
-        return name, '', str(error), '', f'{bound:g}'
-    return name, reference, ours, number(apart), f'{bound:g}'
+        return name, str(error), ''
+    return name, reference, number(apart)
 
 
 def source_lines(source):
-    """Return the lines of a section: heading, reference, remarks, command and table."""
-    title, paragraphs = TEXTS[source]
-    lines = [f'## {title}', '']
-    for paragraph in paragraphs:
-        lines += [paragraph, '']
-    lines += [f'To repeat: `pytest test/test_validation.py -k {source}`', '',
-              *header('quantity', 'reference', 'computed', 'difference', 'bound')]
-    lines += [row(*cells(name, *how)) for name, how in ROWS[source].items()]
+    """Return the lines of a section: heading, remarks, command and table."""
+    title, remarks = TEXTS[source]
+    lines = [f'### {title}', '', f'{remarks} `pytest test/test_validation.py -k {source}`', '',
+             *header('quantity', 'reference', 'difference')]
+    lines += [row(*cells(name, compare)) for name, (compare, _) in ROWS[source].items()]
     return [*lines, '']
 
 

@@ -41,10 +41,8 @@ def test_the_page_has_what_the_command_prints():
 
 def same_row(old, new):
     """Return whether rows agree, except for rounding differences between machines."""
-    (name, reference, ours, apart, held), (*begin, found, _, bound) = (
+    (name, reference, apart), (begin, found, _) = (
         [cell.strip() for cell in line.strip('|').split('|')] for line in (old, new))
-    if found.startswith('needs '):
-        return (name, held) == (begin[0], bound)
-    near = ours == found or all(abs(float(a) - float(b)) <= float(bound)
-                                for a, b in zip(ours.split(), found.split(), strict=True))
-    return near and [name, reference, held] == [*begin, bound] and float(apart) <= float(held)
+    bound, = (rows[name][1] for rows in ROWS.values() if name in rows)
+    return name == begin and (found.startswith('needs ')
+                              or (reference == found and float(apart) <= bound))
