@@ -63,12 +63,6 @@ class Comparison:
                 float(ratios[rank - 1]), float(ratios[-rank]))
 
 
-def compare(ours, peer):
-    """Time two contenders, which both run in every round."""
-    times = in_turns([ours, peer], [quick(ours), quick(peer)])
-    return Comparison(*times.T)
-
-
 def in_turns(contenders, seconds, patience=math.inf):
     """
     Return the time of a run, s, by round and contender, shape (ROUNDS, n).

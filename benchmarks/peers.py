@@ -27,18 +27,20 @@ are written into that file, between its lines `MARK` and `END`.
 
 import argparse
 import importlib
+from importlib.metadata import version
 import json
 import math
 from pathlib import Path
+import platform
 import time
 from typing import Any, NamedTuple
 
-from engine import first_run, machine, Ours
 from extremes import header, row
 from matplotlib.figure import Figure
 import numpy as np
 from pairs import Comparison, in_turns, quick
 from problems import error, PROBLEMS
+from rigid_body_ros import propagate
 from tqdm import tqdm
 
 MARK = '<!-- what follows is printed by benchmarks/peers.py -->'
@@ -93,22 +95,33 @@ def our_ladder(problem):
         {'solver': 'rk4', 'max_step': float(longest) / 2 ** k} for k in range(8)]
 
 
-class Named(Ours):
+class Ours:
     """The package itself, labelled with its setting; it returns only the state at the end."""
 
     def __init__(self, problem, **options):
         """Take the options of `propagate`."""
-        super().__init__(problem, at=problem.at[-1:], **options)
+        self._scene, self._options = problem.scene, {'at': problem.at[-1:], **options}
         self.label = ' '.join(f'{value:.0e}' if name == 'tolerance' else
                               f'{value:.3g} s' if name == 'max_step' else value
                               for name, value in options.items())
+
+    def reset(self):
+        """Do nothing: each run begins at the start."""
+
+    def run(self):
+        """Propagate."""
+        self._motion = propagate(*self._scene, **self._options)
+
+    def attitude(self):
+        """Return x y z w at the end."""
+        return self._motion.attitude[-1]
 
 
 def ladders(problem, peers):
     """Yield the name, the class and the settings of each contender."""
     ours = our_ladder(problem)
     for solver in ('auto', 'rk4'):
-        yield US, Named, [options for options in ours if options['solver'] == solver]
+        yield US, Ours, [options for options in ours if options['solver'] == solver]
     stream = len(problem.torques) > 1
     for name, module in peers.items():
         yield (name, *((module.Stream, module.STREAM_LADDER) if stream else
@@ -120,7 +133,9 @@ def climb(name, make, ladder):
     rungs, failed = [], []
     for options in ladder:
         try:
-            contender, _ = first_run(make, PROBLEMS[name], **options)
+            contender = make(PROBLEMS[name], **options)
+            contender.reset()
+            contender.run()
         except (RuntimeError, ValueError) as problem:
             failed.append(f'{options}: {str(problem).splitlines()[0]}')
             continue
@@ -253,12 +268,12 @@ def installed():
 
 def described(modules, missing):
     """Return lines that describe the machine and the versions."""
-    about = machine()
-    versions = [f"rigid_body_ros {about['versions']['rigid_body_ros']}",
-                *(module.NAME for module in modules.values())]
-    processors = about['processors']
-    return [f"{len(processors)} x {processors[0]}, Python {about['python']}; "
-            f"{', '.join(versions)}.", *missing, '']
+    processors = [line.split(':')[1].strip()
+                  for line in Path('/proc/cpuinfo').read_text().splitlines()
+                  if line.startswith('model name')]
+    versions = [f'{US} {version(US)}', *(module.NAME for module in modules.values())]
+    return [f'{len(processors)} x {processors[0]}, Python {platform.python_version()}; '
+            f'{", ".join(versions)}.', *missing, '']
 
 
 def as_data(rungs, least, failed):
@@ -297,7 +312,7 @@ def main():
             print(f'* {name}, failed: {reason}')
     if arguments.json:
         arguments.json.write_text(json.dumps(
-            {'machine': machine(), 'problems': {
+            {'machine': described(modules, missing), 'problems': {
                 name: as_data(*result) for name, result in results.items()}}, indent=1) + '\n')
     if arguments.plot:
         draw(arguments.plot, results)
