@@ -51,9 +51,8 @@ SECOND = 10 ** 9
 NEEDS = {
     'distributed': ['cluster'],
     'pyarrow': ['cluster', 'dispersions', 'ensemble', 'ensemble_folder', 'ensemble_loop',
-                'ensemble_motions', 'ensemble_results', 'fitted', 'identify_command',
-                'wheel_command', 'wheels'],
-    'zarr': ['ensemble_folder', 'ensemble_motions', 'ensemble_results'],
+                'ensemble_results', 'fitted', 'identify_command', 'wheel_command', 'wheels'],
+    'zarr': ['cluster', 'ensemble', 'ensemble_folder', 'ensemble_loop', 'ensemble_results'],
     'rclpy': ['clock_mode', 'clocks', 'closed_loop', 'crash', 'executors', 'faults', 'fleet',
               'launch', 'lifecycle', 'lockstep', 'monitor_live', 'node', 'node_arguments',
               'open_loop', 'overload', 'regress', 'robot_description', 'silence', 'soak',

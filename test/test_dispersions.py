@@ -53,23 +53,16 @@ def test_the_axes_of_tilts_are_isotropic():
     assert np.all(np.abs(products) < 4 / np.sqrt(15 * RUNS.size))
 
 
-def test_a_run_depends_on_seed_and_number_only():
-    one, other = draws(VARY, 1, RUNS[:100]), draws(VARY, 2, RUNS[:100])
-    same = draws(VARY[::-1], 1, RUNS[99:4:-1])
-    for key, values in one.items():
-        assert np.array_equal(values[:4:-1], same[key])
-        assert not np.intersect1d(values, other[key]).size
-
-
-def test_a_key_draws_the_same_without_the_others():
-    every = draws(VARY, 1, RUNS[:100])
+def test_a_run_depends_on_seed_number_and_key_only():
+    every, other = draws(VARY, 1, RUNS[:100]), draws(VARY, 2, RUNS[:100])
     for one in VARY:
-        assert np.array_equal(draws([one], 1, RUNS[:100])[one.key], every[one.key])
+        alone = draws([one], 1, RUNS[99:4:-1])[one.key]
+        assert np.array_equal(alone, every[one.key][:4:-1])
+        assert not np.intersect1d(alone, other[one.key]).size
     assert np.unique(np.concatenate([*every.values()], axis=1)).size == 500
 
 
-@pytest.mark.parametrize('seed', [0, 2 ** 32, 2 ** 63 - 1])
-@pytest.mark.parametrize('count', [1, 3, 4, 17])
+@pytest.mark.parametrize(('seed', 'count'), [(0, 1), (2 ** 32, 4), (2 ** 63 - 1, 17)])
 def test_the_numbers_of_a_run_do_not_depend_on_the_other_runs(seed, count):
     runs = np.arange(10 ** 9 - 50, 10 ** 9)
     for draw in (dispersions.uniforms, dispersions.normals):
@@ -131,14 +124,9 @@ def test_values_of_the_fields_of_a_scene_vary(tmp_path):
     ('torque_gain: 3', 'torque_gain: expected keys and values (torque_gain: {normal: 0.03}), '
      "found '3'"),
     ('torque_gain: {normal: .inf}', "normal: expected a number greater than 0, found ['.inf']"),
-    ('torque_gain: {normal: 1e999}', "normal: expected a number greater than 0, found ['1e999']"),
-    ('torque_gain: {normal: 1_0}', "normal: expected a number greater than 0, found ['1_0']"),
-    ('torque_gain: {normal: 0}', "normal: expected a number greater than 0, found ['0']"),
     ('torque_gain: {normal: {a: 1}}', "expected a number greater than 0, found ['a group']"),
-    ('torque_gain: {normal: [[1], 2]}', "expected a number greater than 0, found ['a list', '2']"),
     ('torque_gain: {uniform: [-.inf, .inf]}', 'uniform: expected two ascending numbers, found'),
     ('torque_gain: {uniform: [-1e308, 1e308]}', 'uniform: expected two ascending numbers, found'),
-    ('torque_gain: {uniform: [1, 1]}', 'uniform: expected two ascending numbers, found'),
     ('torque_gain: {normal: 1, relative: [true]}', 'expected true or false, found a list'),
     ('torque_gain: {normal: 1, normal: 2}', "normal or uniform, found ['normal', 'normal']"),
     ('? [torque_gain]\n: {normal: 1}', 'expected names as keys, found a list as a key in line 1'),

@@ -16,18 +16,20 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 
-from conftest import at_night, nearest_rank, ROOT
+from conftest import at_night, nearest_rank, ROOT, SECOND
 import numpy as np
 from pyarrow import parquet
 import pytest
 from rigid_body_ros import propagate, RigidBody, scene, State, TorqueLog, UniformField
 from rigid_body_ros.commands import main
-from rigid_body_ros.ensemble import folder
+from rigid_body_ros.ensemble import folder, motions
+import zarr
 
 SCENE = """/**:
   ros__parameters:
@@ -48,13 +50,20 @@ TIMES = np.arange(40) / 20.0
 TORQUES = np.round(0.01 * np.sin(np.arange(120.0)).reshape(40, 3), 9)
 
 
+HZ = 7
+
+
 @pytest.fixture
 def inputs(tmp_path):
-    (tmp_path / 'scene.yaml').write_text(SCENE)
-    (tmp_path / 'vary.yaml').write_text(VARY)
+    return write_inputs(tmp_path)
+
+
+def write_inputs(path):
+    (path / 'scene.yaml').write_text(SCENE)
+    (path / 'vary.yaml').write_text(VARY)
     rows = [','.join(map(repr, row)) for row in np.column_stack([TIMES, TORQUES]).tolist()]
-    (tmp_path / 'in.csv').write_text('\n'.join(['time,tx,ty,tz', *rows]) + '\n')
-    return tmp_path
+    (path / 'in.csv').write_text('\n'.join(['time,tx,ty,tz', *rows]) + '\n')
+    return path
 
 
 def arguments(inputs, output, runs, *more):
@@ -80,22 +89,43 @@ def error_of(capsys, *given):
     return line
 
 
+def without_recording(given, inputs):
+    return [one for one in given if one not in ('--recording', str(inputs / 'in.csv'))]
+
+
+def rows_of(path):
+    return parquet.read_table(path / 'runs.parquet')
+
+
+def units_of(path):
+    return {field.name: (field.metadata or {}).get(b'unit') for field in rows_of(path).schema}
+
+
+def numbers(row, prefix, axes='xyz'):
+    return [row[f'{prefix}{axis}'] for axis in axes]
+
+
 @pytest.mark.slow
-def test_every_row_has_the_bits_of_propagate(inputs):
-    run(inputs, 'out', 300)
-    rows = parquet.read_table(inputs / 'out' / 'runs.parquet').to_pylist()
-    assert [row['run'] for row in rows] == [*range(300)]
+def test_every_state_of_a_run_has_the_bits_of_propagate(inputs):
+    run(inputs, 'out', 60, '--times', HZ)
+    rows = rows_of(inputs / 'out').to_pylist()
+    assert [row['run'] for row in rows] == [*range(60)]
+    group = zarr.open_group(inputs / 'out' / 'motion.zarr', mode='r')
     stamps = np.round(TIMES * 1e9).astype(np.int64)
-    for row in (rows[k] for k in np.random.default_rng(1).permutation(300)[:100]):
-        body = RigidBody.from_moments(*(row[f'inertia.i{entry}'] for entry in (
-            'xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
-        start = State(1, [row[f'initial_attitude.{axis}'] for axis in 'xyzw'],
-                      [row[f'initial_angular_velocity.{axis}'] for axis in 'xyz'])
+    start_ns = 1
+    at = start_ns + np.round(group['time'][:] * 1e9).astype(np.int64)
+    assert [*at] == [*(start_ns + round(k * SECOND / HZ) for k in range(14)), stamps[-1]]
+    for row in (rows[k] for k in np.random.default_rng(2).permutation(60)[:20]):
+        body = RigidBody.from_moments(*numbers(
+            row, 'inertia.i', ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
+        start = State(start_ns, numbers(row, 'initial_attitude.', 'xyzw'),
+                      numbers(row, 'initial_angular_velocity.'))
         log = TorqueLog(stamps + round(row['clock_offset'] * 1e9), row['torque_gain'] * TORQUES)
-        motion = propagate(body, start, log, at=stamps[-1:])
-        assert [row[f'attitude.{axis}'] for axis in 'xyzw'] == motion.attitude[0].tolist()
-        assert [row[f'angular_velocity.{axis}'] for axis in 'xyz'] \
-            == motion.angular_velocity[0].tolist()
+        motion = propagate(body, start, log, at=at)
+        found = group['motion'][row['run']]
+        assert np.array_equal(found[:, :4], motion.attitude)
+        assert np.array_equal(found[:, 4:], motion.angular_velocity)
+        assert found[-1].tolist() == [row[name] for name in group['component'][:]]
 
 
 @pytest.mark.slow
@@ -105,8 +135,7 @@ def test_fields_vary_by_the_keys_of_the_scene(inputs):
     (inputs / 'vary.yaml').write_text('pivot.moment.x: {normal: 0.002}\n'
                                       'pivot.moment.z: {normal: 0.1, relative: true}\n')
     run(inputs, 'out', 30)
-    rows = parquet.read_table(inputs / 'out' / 'runs.parquet')
-    units = {field.name: (field.metadata or {}).get(b'unit') for field in rows.schema}
+    rows, units = rows_of(inputs / 'out'), units_of(inputs / 'out')
     assert units['pivot.moment.x'] == units['pivot.moment.z'] == b'kg m or A m^2'
     assert 'pivot.moment.y' not in units
     loaded, stamps = scene.load(inputs / 'scene.yaml'), np.round(TIMES * 1e9).astype(np.int64)
@@ -114,60 +143,64 @@ def test_fields_vary_by_the_keys_of_the_scene(inputs):
         problem = loaded.problem().replaced(log=TorqueLog(stamps, TORQUES), fields=[UniformField(
             (row['pivot.moment.x'], 0.0, row['pivot.moment.z']), (0.0, 0.0, -9.81))])
         motion = problem.propagate(at=stamps[-1:])
-        assert [row[f'attitude.{axis}'] for axis in 'xyzw'] == motion.attitude[0].tolist()
+        assert numbers(row, 'attitude.', 'xyzw') == motion.attitude[0].tolist()
     assert np.std(rows['pivot.moment.x'].to_numpy()) > 0.001
 
 
 @pytest.mark.slow
 def test_units_and_summary(inputs, capsys):
+    (inputs / 'vary.yaml').write_text('initial_angular_velocity.z: {normal: 1.0e-3}\n'
+                                      'torque_gain: {normal: 1.0e-9}\n'
+                                      'clock_offset: {normal: 1.0e-9}\n')
     run(inputs, 'out', 300, '--seed', 5)
-    schema = parquet.read_schema(inputs / 'out' / 'runs.parquet')
-    units = {field.name: (field.metadata or {}).get(b'unit') for field in schema}
-    assert units['inertia.ixx'] == b'kg m^2'
-    assert units['initial_angular_velocity.z'] == b'rad/s'
-    assert units['clock_offset'] == b's'
+    units = units_of(inputs / 'out')
+    assert (units['inertia.ixx'], units['initial_angular_velocity.z'], units['clock_offset']) == (
+        b'kg m^2', b'rad/s', b's')
     assert 'torque_bias.x' not in units
     found = json.loads((inputs / 'out' / 'summary.json').read_text())
-    angles = parquet.read_table(inputs / 'out' / 'runs.parquet')['angle_from_nominal'].to_numpy()
+    angles = rows_of(inputs / 'out')['angle_from_nominal'].to_numpy()
     assert (found['seed'], found['runs'], found['failed']) == (5, 300, 0)
     for k in (5, 50, 99, 100):
         assert [found['angle_from_nominal_rad'][f'p{k}']] == nearest_rank(angles, [k])
-    assert set(found['rank_correlation']) > {'initial_attitude', 'torque_gain', 'inertia.ixx'}
+    # Only one parameter explains the spread.
+    correlation = found['rank_correlation']
+    assert correlation.pop('initial_angular_velocity.z') > 0.99
+    assert {*correlation} == {'torque_gain', 'clock_offset'}
+    assert max(map(abs, correlation.values())) < 0.3
     assert 'depends on' in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_the_parameter_that_explains_the_spread_is_found(inputs):
-    (inputs / 'vary.yaml').write_text('initial_angular_velocity.z: {normal: 1.0e-3}\n'
-                                      'torque_gain: {normal: 1.0e-9}\n')
-    run(inputs, 'out', 300)
-    found = json.loads((inputs / 'out' / 'summary.json').read_text())['rank_correlation']
-    assert found['initial_angular_velocity.z'] > 0.99
-    assert abs(found['torque_gain']) < 0.3
-    assert set(found) == {'initial_angular_velocity.z', 'torque_gain'}
 
 
 @pytest.fixture
 def small_blocks(monkeypatch):
+    make_blocks_small(monkeypatch)
+
+
+def make_blocks_small(monkeypatch):
     monkeypatch.setattr(folder, 'BLOCKS', 4)
     monkeypatch.setattr(folder, 'LONGEST', 7)
     monkeypatch.setattr(folder, 'GROUP', 16)
+    monkeypatch.setattr(motions, '_RUNS', 5)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures('small_blocks')
-def test_workers_extension_and_lost_blocks_give_the_same_bytes(inputs):
-    run(inputs, 'one', 60, '--workers', 1)
-    run(inputs, 'two', 60, '--workers', 2)
-    run(inputs, 'extended', 20)
-    run(inputs, 'extended', 60)
-    assert parquet.read_metadata(inputs / 'one' / 'runs.parquet').num_row_groups == 4
+def test_workers_extension_and_lost_files_give_the_same_bytes(inputs):
+    run(inputs, 'one', 58, '--times', HZ, '--workers', 1)
+    run(inputs, 'two', 58, '--times', HZ, '--workers', 2)
+    run(inputs, 'extended', 23, '--times', HZ)
+    run(inputs, 'extended', 58, '--times', HZ)
     expected = contents(inputs / 'one')
+    assert 'motion.zarr/motion/11.0.0' in expected
+    assert parquet.read_metadata(inputs / 'one' / 'runs.parquet').num_row_groups == 4
     assert contents(inputs / 'two') == contents(inputs / 'extended') == expected
     next((inputs / 'two' / 'blocks').iterdir()).unlink()
-    (inputs / 'two' / 'runs.parquet').unlink()
-    run(inputs, 'two', 60)
-    assert contents(inputs / 'two') == expected
+    (inputs / 'extended' / 'motion.zarr' / 'motion' / '3.0.0').unlink()
+    (inputs / 'one' / 'motion.zarr' / '.zmetadata').unlink()  # killed while creating the group
+    part = f'0.0.{"0f" * 16}.partial'  # killed while writing a chunk
+    (inputs / 'two' / 'motion.zarr' / 'motion' / part).write_text('half')
+    for name in ('one', 'two', 'extended'):
+        run(inputs, name, 58, '--times', HZ)
+        assert contents(inputs / name) == expected
 
 
 @pytest.mark.slow
@@ -190,39 +223,20 @@ def test_nothing_but_its_own_blocks_is_removed(inputs):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('kills', [1, *at_night(3)])
-def test_kills_and_resumes_give_the_same_bytes(inputs, kills):
-    run(inputs, 'whole', 6000)
-    kill(inputs, arguments(inputs, 'killed', 6000), kills)
-    assert not (inputs / 'killed' / 'runs.parquet').exists()
-    run(inputs, 'killed', 6000)
-    assert contents(inputs / 'killed') == contents(inputs / 'whole')
-
-
-@pytest.mark.slow
-def test_an_interrupt_is_one_line_and_the_same_command_goes_on(inputs):
-    command = [*COMMAND, *arguments(inputs, 'out', 100_000)]
-    with subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True) as process:
-        while process.poll() is None and count(inputs / 'out' / 'blocks') < 2:
-            time.sleep(0.01)
-        process.send_signal(signal.SIGINT)
-        _, error = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert error == ('attitude_ensemble: interrupted; run the same command again to continue in '
-                     f'{inputs / "out"}\n')
-
-
-def kill(inputs, given, times):
-    """Start an ensemble in the folder 'killed' a few times; kill it after three new blocks."""
-    command = [*COMMAND, *given]
-    blocks, before = inputs / 'killed' / 'blocks', 0
-    for _ in range(times):
+@pytest.mark.parametrize(('kills', 'more'), [(1, []), *at_night((3, []), (3, ['--times', HZ]))])
+def test_kills_and_resumes_give_the_same_bytes(inputs, kills, more):
+    run(inputs, 'whole', 6000, *more)
+    command, before = [*COMMAND, *arguments(inputs, 'killed', 6000, *more)], 0
+    for _ in range(kills):
         with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL) as process:
-            while process.poll() is None and count(blocks) < before + 3:
+            while process.poll() is None and count(inputs / 'killed' / 'blocks') < before + 3:
                 time.sleep(0.01)
             process.kill()
         assert process.returncode == -signal.SIGKILL
-        before = count(blocks)
+        before = count(inputs / 'killed' / 'blocks')
+    assert not (inputs / 'killed' / 'runs.parquet').exists()
+    run(inputs, 'killed', 6000, *more)
+    assert contents(inputs / 'killed') == contents(inputs / 'whole')
 
 
 def count(blocks):
@@ -230,34 +244,54 @@ def count(blocks):
 
 
 @pytest.mark.slow
-def test_failed_runs_are_rows(inputs, capsys):
+@pytest.mark.usefixtures('small_blocks')
+def test_failed_runs_are_rows_and_their_motions_are_nan(inputs, capsys):
     (inputs / 'vary.yaml').write_text('inertia.izz: {normal: 0.1}\n')
-    run(inputs, 'out', 300)
-    rows = parquet.read_table(inputs / 'out' / 'runs.parquet').to_pylist()
-    failed = [row for row in rows if row['status'] == 'failed']
-    assert all(row['attitude.x'] is None and row['message'] for row in failed)
-    found = json.loads((inputs / 'out' / 'summary.json').read_text())
-    assert found['failed'] == sum(found['failures'].values()) == len(failed) > 30
-    assert [*found['failures']] == [
-        'inertia: not physical, principal moments ... kg m^2: the largest exceeds the sum of the '
-        'other two by ... % (limit 3 %)',
-        'inertia: expected a positive definite tensor, found principal moments ..., '
-        '0.044946704538749195, 0.12005329546125079 kg m^2']
+    run(inputs, 'out', 58, '--times', HZ)
+    rows = rows_of(inputs / 'out').to_pylist()
+    failed = np.array([row['status'] == 'failed' for row in rows])
+    assert 10 < failed.sum() < 58
+    assert all(row['attitude.x'] is None and row['message'] for row in rows
+               if row['status'] == 'failed')
+    path = inputs / 'out' / 'motion.zarr'
+    found = zarr.open_group(path, mode='r')['motion'][:]
+    assert len([*(path / 'motion').glob('*.0.0')]) == 12
+    assert np.isnan(found[failed]).all()
+    assert np.isfinite(found[~failed]).all()
+    summary = json.loads((inputs / 'out' / 'summary.json').read_text())
+    assert summary['failed'] == sum(summary['failures'].values()) == failed.sum()
+    assert 'inertia: not physical, principal moments ... kg m^2: the largest exceeds the sum of ' \
+        'the other two by ... % (limit 3 %)' in summary['failures']
     assert 'failed' in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_without_a_recording_the_body_turns_freely(inputs):
+def test_without_a_recording_the_body_turns_freely(inputs, capsys):
     (inputs / 'vary.yaml').write_text('initial_attitude: {tilt: 0.02}\n')
-    given = [one for one in arguments(inputs, 'out', 3, '--until', 10)
-             if one not in ('--recording', str(inputs / 'in.csv'))]
-    assert main.attitude_ensemble(given) == 0
-    row = parquet.read_table(inputs / 'out' / 'runs.parquet').to_pylist()[2]
+    assert main.attitude_ensemble(without_recording(
+        arguments(inputs, 'out', 3, '--until', 10), inputs)) == 0
+    row = rows_of(inputs / 'out').to_pylist()[2]
     loaded = scene.load(inputs / 'scene.yaml')
-    start = State(1, [row[f'initial_attitude.{axis}'] for axis in 'xyzw'],
-                  loaded.start.angular_velocity)
+    start = State(1, numbers(row, 'initial_attitude.', 'xyzw'), loaded.start.angular_velocity)
     motion = propagate(loaded.body, start, at=[1 + 10 ** 10])
-    assert [row[f'attitude.{axis}'] for axis in 'xyzw'] == motion.attitude[0].tolist()
+    assert numbers(row, 'attitude.', 'xyzw') == motion.attitude[0].tolist()
+    capsys.readouterr()
+    assert main.attitude_ensemble(without_recording(arguments(inputs, 'end', 3), inputs)) == 2
+    assert '--until: expected the end of the motion, or a --recording' in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_xarray_opens_the_motions_with_their_coordinates(inputs):
+    xarray = pytest.importorskip('xarray', reason='xarray is not installed')
+    run(inputs, 'out', 5, '--times', 4)
+    found = xarray.open_zarr(inputs / 'out' / 'motion.zarr')
+    assert found.motion.dims == ('run', 'time', 'component')
+    assert found.time.values.tolist() == [*np.arange(8) / 4, 1.949999999]
+    assert (found.time.units, found.component.unit) == ('s', [''] * 4 + ['rad/s'] * 3)
+    ends = found.motion.isel(time=-1)
+    table = parquet.read_table(inputs / 'out' / 'runs.parquet')
+    for name in found.component.values.tolist():
+        assert ends.sel(component=name).values.tolist() == table[name].to_pylist()
 
 
 @pytest.mark.slow
@@ -270,18 +304,30 @@ def test_without_a_recording_the_body_turns_freely(inputs):
      'expected the recording'),
     (lambda inputs: ('--runs', 5), 'expected at least the 10 runs'),
     (lambda inputs: edit(inputs / 'out' / 'identity.json', '{', '['), 'cannot read the ensemble'),
-    (lambda inputs: edit(inputs / 'out' / 'identity.json', None, ''), 'cannot read the ensemble'),
-], ids=['seed', 'until', 'scene', 'vary', 'recording', 'fewer', 'damaged', 'empty'])
-def test_another_ensemble_is_refused(inputs, capsys, change, message):
-    run(inputs, 'out', 10)
-    before = (inputs / 'out' / 'runs.parquet').read_bytes()
-    more = change(inputs) or ()
+    (lambda inputs: ('--times', 8), "expected the times of its runs, 'final', found 8.0"),
+], ids=['seed', 'until', 'scene', 'vary', 'recording', 'fewer', 'damaged', 'times'])
+def test_another_ensemble_is_refused(made, capsys, change, message):
+    before = contents(made / 'out')
+    more = change(made) or ()
     runs, more = (more[1], ()) if '--runs' in more else (10, more)
-    capsys.readouterr()
-    line = error_of(capsys, inputs, 'out', runs, *more)
-    assert line.startswith(f'attitude_ensemble: error: {inputs / "out"}')
+    line = error_of(capsys, made, 'out', runs, *more)
+    assert line.startswith(f'attitude_ensemble: error: {made / "out"}')
     assert message in line
-    assert (inputs / 'out' / 'runs.parquet').read_bytes() == before
+    if not message.startswith('cannot read'):
+        assert contents(made / 'out') == before
+
+
+@pytest.fixture
+def made(tmp_path, made_once):
+    """Return a copy of the inputs and of the results of ten runs."""
+    return shutil.copytree(made_once, tmp_path / 'made')
+
+
+@pytest.fixture(scope='module')
+def made_once(tmp_path_factory):
+    inputs = write_inputs(tmp_path_factory.mktemp('made'))
+    run(inputs, 'out', 10)
+    return inputs
 
 
 def edit(path, old, new):
@@ -305,21 +351,27 @@ def test_bad_input_is_one_line(inputs, capsys, change, message):
     assert message in error_of(capsys, inputs, 'out', 10)
 
 
-def test_no_end_of_the_motion(inputs, capsys):
-    given = [one for one in arguments(inputs, 'out', 3)
-             if one not in ('--recording', str(inputs / 'in.csv'))]
-    assert main.attitude_ensemble(given) == 2
-    assert '--until: expected the end of the motion, or a --recording' in capsys.readouterr().err
-
-
-@pytest.mark.parametrize('more', [('--runs', '0'), ('--workers', '0'), ('--seed', '-1'),
-                                  ('--runs', 'many')])
+@pytest.mark.parametrize('more', ['--runs=0', '--workers=0', '--seed=-1', '--times=0',
+                                  '--times=often'])
 def test_impossible_numbers(inputs, capsys, more):
-    given = arguments(inputs, 'out', 3)
-    for name in more[:1]:
-        if name in given:
-            del given[given.index(name):given.index(name) + 2]
     with pytest.raises(SystemExit) as ended:
-        main.attitude_ensemble([*given, *more])
+        main.attitude_ensemble([*arguments(inputs, 'out', 3), more])
     assert ended.value.code == 2
-    assert f'{more[0]}: expected an integer' in capsys.readouterr().err
+    option, _ = more.split('=')
+    expected = 'final or a number from' if option == '--times' else 'an integer'
+    assert f'{option}: expected {expected}' in capsys.readouterr().err
+
+
+def test_too_many_times(inputs, capsys):
+    line = error_of(capsys, inputs, 'out', 3, '--times', '1e9')
+    assert '--times: expected at most 2097152 states in a run, found 1e+09 Hz over 1.95 s' in line
+    assert not (inputs / 'out').exists()
+
+
+@pytest.mark.parametrize(('end_ns', 'rate', 'expected'), [
+    (SECOND, 0.3, [0, SECOND]), (0, 5.0, [0]),
+    (SECOND, 3.0, [0, 333333333, 666666667, SECOND]),
+    (1_100_000_001, 10.0, [*range(0, 12 * SECOND // 10, SECOND // 10), 1_100_000_001]),
+])
+def test_times_start_at_the_start_and_include_the_end(end_ns, rate, expected):
+    assert motions.times_of(5, 5 + end_ns, rate).tolist() == [5 + time for time in expected]

@@ -18,7 +18,6 @@ from contextlib import contextmanager, ExitStack
 import errno
 import fcntl
 import json
-import os
 import shutil
 import signal
 import socket
@@ -39,9 +38,13 @@ from test_ensemble import (
     count,
     ENVIRONMENT,
     error_of,
+    HZ,
     inputs,
+    make_blocks_small,
     run,
     small_blocks,
+    without_recording,
+    write_inputs,
 )
 
 inputs, small_blocks = inputs, small_blocks  # fixtures, used by their names
@@ -160,20 +163,29 @@ def flipped(path, other):
     path.write_bytes(data)
 
 
+@pytest.fixture(scope='module')
+def two(tmp_path_factory):
+    """Return a folder with two ensembles of small blocks, which differ in their seed."""
+    inputs = write_inputs(tmp_path_factory.mktemp('two'))
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        make_blocks_small(monkeypatch)
+        run(inputs, 'other', 20, '--seed', 1)
+        run(inputs, 'out', 20)
+    return inputs
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures('small_blocks')
 @pytest.mark.parametrize('change', [
     flipped,
-    lambda path, other: path.write_bytes(path.read_bytes()[:-9]),
     lambda path, other: path.write_bytes(b''),
     lambda path, other: shutil.copy(other, path),
     lambda path, other: (path.unlink(), shutil.copy(other, path.parent)),
     lambda path, other: path.rename(path.with_name(f'{path.name[:19]}.parquet')),
     lambda path, other: shutil.copy(sorted(path.parent.iterdir())[2], path),
-], ids=['bit', 'short', 'empty', 'content', 'file', 'without digest', 'other runs'])
-def test_a_block_that_does_not_fit_is_computed_again(inputs, capsys, change):
-    run(inputs, 'other', 20, '--seed', 1)
-    run(inputs, 'out', 20)
+], ids=['bit', 'empty', 'content', 'file', 'without digest', 'other runs'])
+def test_a_block_that_does_not_fit_is_computed_again(tmp_path, two, capsys, change):
+    inputs = shutil.copytree(two, tmp_path / 'inputs')
     expected = contents(inputs / 'out')
     change(*(sorted((inputs / name / 'blocks').iterdir())[1] for name in ('out', 'other')))
     capsys.readouterr()
@@ -187,19 +199,38 @@ def test_a_block_that_does_not_fit_is_computed_again(inputs, capsys, change):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures('small_blocks')
+@pytest.mark.parametrize('change', [
+    lambda chunk, other: chunk.write_bytes(chunk.read_bytes()[:-9]),
+    *at_night(lambda chunk, other: shutil.copy(other, chunk),
+              lambda chunk, other: chunk.write_bytes(b'')),
+], ids=['short', 'of other runs', 'empty'])
+def test_a_chunk_that_does_not_fit_is_computed_again(inputs, capsys, change):
+    run(inputs, 'whole', 60, '--times', HZ)
+    run(inputs, 'out', 23, '--times', HZ)
+    run(inputs, 'out', 58, '--times', HZ)
+    expected, chunks = contents(inputs / 'whole'), inputs / 'out' / 'motion.zarr' / 'motion'
+    for runs in (58, 60):  # the second command also adds runs
+        change(chunks / '4.0.0', chunks / '3.0.0')  # the first chunk has runs of two blocks
+        capsys.readouterr()
+        run(inputs, 'out', runs, '--times', HZ)
+        note, = capsys.readouterr().err.splitlines()
+        assert note.startswith(f'attitude_ensemble: note: {inputs / "out"}: ignored blocks that '
+                               'are damaged or from elsewhere, of the runs 20 to 2')
+    assert contents(inputs / 'out') == expected
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(('number', 'more'), [
-    (signal.SIGINT, []), (signal.SIGTERM, []), *at_night((signal.SIGTERM, ['--times', '1e-3']))])
+    (signal.SIGINT, []), *at_night((signal.SIGTERM, ['--times', '1e-3']))])
 def test_a_signal_ends_endless_runs(inputs, number, more):
     (inputs / 'scene.yaml').write_text(ENDLESS_SCENE)
     (inputs / 'vary.yaml').write_text(ENDLESS)
-    given = [one for one in arguments(inputs, 'out', 50_000, '--until', 1e6, *more)
-             if one not in ('--recording', str(inputs / 'in.csv'))]
-    with started(given) as process:
+    given = arguments(inputs, 'out', 50_000, '--until', 1e6, *more)
+    with started(without_recording(given, inputs)) as process:
         wait_for(lambda: computes(process) or process.poll() is not None)
-        sent = time.monotonic()
         process.send_signal(number)
         _, error = process.communicate(timeout=60)
-        assert time.monotonic() - sent < 2.0
     assert process.returncode == 128 + number
     assert error == ('attitude_ensemble: interrupted; run the same command again to continue in '
                      f'{inputs / "out"}\n')
@@ -252,40 +283,6 @@ def race(inputs, name, random, seconds):
             lines = len(error.splitlines())
             assert (processes[k].returncode, lines) in (
                 (0, 0), (2, 1), (-signal.SIGKILL, 0), (-signal.SIGKILL, 1)), error
-
-
-@contextmanager
-def small_disk(path, size):
-    """Mount a file system of a size, B, at a new folder; yield a function that enlarges it."""
-    path.mkdir()
-    mount = ['mount', '-t', 'tmpfs', '-o', f'size={size}', 'tmpfs', str(path)]
-    if os.geteuid() or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip('cannot mount a file system here')
-    try:
-        yield lambda: subprocess.run(['mount', '-o', 'remount,size=256m', str(path)], check=True)
-    finally:
-        subprocess.run(['umount', '-l', str(path)], check=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(('share', 'more'), [
-    (0.5, []), *at_night((0.85, ['--times', 7]), *(
-        (float(share), more) for more in ([], ['--times', 7])
-        for share in np.random.default_rng(3).uniform(0.0, 1.0, 15).round(3)))])
-def test_a_full_disk_is_one_line_and_the_folder_is_resumed(inputs, capsys, share, more):
-    run(inputs, 'whole', 3000, *more)
-    size = sum(-(-path.stat().st_size // 4096) * 4096 for path in (inputs / 'whole').rglob('*'))
-    with small_disk(inputs / 'disk', max(4096, round(share * size))) as enlarge:
-        path = inputs / 'disk' / 'out'
-        capsys.readouterr()
-        line = error_of(capsys, inputs, 'disk/out', 3000, *more)
-        assert line.startswith(f'attitude_ensemble: error: {path}')
-        assert 'No space left on device' in line
-        assert not check_whole(path)
-        enlarge()
-        run(inputs, 'disk/out', 3000, *more)
-        assert capsys.readouterr().err == ''  # no block was damaged
-        assert contents(path) == contents(inputs / 'whole')
 
 
 @pytest.mark.slow

@@ -152,7 +152,7 @@ def test_angles_that_span_decades_have_a_logarithmic_axis(drawn, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('angles', [[0.0], [0.0] * 5, [1e-200], [0.3, 0.3], [5e-324] * 200])
+@pytest.mark.parametrize('angles', [[0.0], [0.3, 0.3], [5e-324] * 200])
 def test_angles_without_a_spread_are_counted(drawn, tmp_path, angles):
     draw(tmp_path, results_of(np.array(angles)))
     values, edges = heights(drawn[0].axes[0])

@@ -15,19 +15,19 @@
 """Runs of an ensemble: drawn values are applied, and applied values are reported."""
 
 from dataclasses import replace
-import time
 
+from conftest import SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros import State, TorqueLog
 from rigid_body_ros.ensemble import applied
 from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.scene import InputError, Scene
 
-SECOND = 10 ** 9
 TIMES = np.arange(20) * SECOND // 10
+SEEN = np.array([0, 1, SECOND // 3, SECOND, 2 * SECOND])
 TORQUES = 0.01 * np.sin(np.arange(60.0)).reshape(20, 3)
 LOGS = (TorqueLog(TIMES, TORQUES),)
 OTHER = TorqueLog(TIMES[3:] - 5, -0.3 * TORQUES[3:], 'space')
@@ -62,62 +62,6 @@ def numbers(row, prefix, axes='xyz'):
     return [row[f'{prefix}{axis}'] for axis in axes]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('vary', [
-    VARY, VARY[:1] + VARY[-3:], (*VARY[:3], VARY[-1]), VARY[:3] + VARY[4:6], VARY[1:3]],
-    ids=['all', 'bias', 'offset', 'gain', 'start'])
-def test_a_row_has_the_bits_of_propagate_for_its_values(vary):
-    found = ensemble(*vary, torque_timeout=0.5,
-                     **{} if VARY[3] in vary else {'initial_rotor_momentum.z': 0.0})
-    nominal = found.problem.propagate(at=[2 * SECOND]).attitude[0]
-    for row in rows(found, 123_456_700, 123_456_800):
-        row = {'initial_rotor_momentum.z': 0.0, 'damping.dxx': 1e-4, 'torque_gain': 1.0,
-               'torque_bias.x': 0.0, 'clock_offset': 0.0, **row}
-        motion = motion_of(row)
-        assert row['status'] == 'ok'
-        assert numbers(row, 'attitude.', 'xyzw') == motion.attitude[0].tolist()
-        assert numbers(row, 'angular_velocity.') == motion.angular_velocity[0].tolist()
-        assert row['angle_from_nominal'] == so3.angle_between(motion.attitude[0], nominal)
-
-
-@pytest.mark.parametrize('vary', [VARY, VARY[:3] + VARY[4:6]], ids=['rotors', 'gain'])
-def test_motions_have_the_bits_of_propagate(vary):
-    times = np.array([0, 1, SECOND // 3, SECOND, 2 * SECOND])
-    found = ensemble(*vary, torque_timeout=0.5,
-                     **{} if VARY[3] in vary else {'initial_rotor_momentum.z': 0.0})
-    found = replace(found, times_ns=times)
-    assert found.times.tolist() == [0.0, 1e-9, 333_333_333e-9, 1.0, 2.0]
-    nominal = found.problem.propagate(at=times)
-    assert np.array_equal(found.nominal_motion, states(nominal))
-    for row in rows(found, 77, 97):
-        row = {'initial_rotor_momentum.z': 0.0, 'torque_bias.x': 0.0, 'clock_offset': 0.0, **row}
-        assert np.array_equal(row['motion'], states(motion_of(row, times)))
-        assert row['motion'][-1] == numbers(row, 'attitude.', 'xyzw') + numbers(
-            row, 'angular_velocity.')
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('wheels', [None, WHEELS], ids=['still', 'wheels'])
-@pytest.mark.parametrize('logs', [(), LOGS, (*LOGS, LOGS[0].rows(slice(5, 9))), (*LOGS, OTHER)],
-                         ids=['free', 'one', 'two', 'two frames'])
-@pytest.mark.parametrize('vary', [VARY[:3], VARY[:5], (*VARY[:3], VARY[5]), VARY[:6], VARY[4:7]],
-                         ids=['start', 'momentum', 'gain', 'momentum and gain', 'bias'])
-def test_runs_with_rotors_and_sources_have_the_bits_of_propagate(monkeypatch, wheels, logs, vary):
-    vary = tuple(one for one in vary if logs or one.key != 'torque_gain')
-    found = ensemble(*vary, logs=logs, wheels=wheels)
-    expected = found.nominal_motion[-1, :4]
-    monkeypatch.delattr(Ensemble, '_one_by_one')  # all runs are computed at once
-    for row in rows(found, 40, 60):
-        row = {'initial_rotor_momentum.z': 0.003, 'damping.dxx': 1e-4, 'torque_gain': 1.0,
-               'torque_bias.x': 0.0, **row}
-        body, start, bias = scene_of(row)
-        sources = [log.with_torques(row['torque_gain'] * log.torques) for log in logs]
-        motion = propagate(body, start, [*sources, *bias], at=[2 * SECOND], wheels=wheels)
-        assert numbers(row, 'attitude.', 'xyzw') == motion.attitude[0].tolist()
-        assert numbers(row, 'angular_velocity.') == motion.angular_velocity[0].tolist()
-        assert row['angle_from_nominal'] == so3.angle_between(motion.attitude[0], expected)
-
-
 FIELDS = {'fields': ['pivot', 'magnet'], 'pivot.moment.z': -0.002, 'pivot.field.z': -9.81,
           'magnet.moment.x': 2.0, 'magnet.field.y': 0.003, 'orbit.mean_motion': 0.2}
 OF_FIELDS = (Dispersion('pivot.moment.z', 'normal', (0.1,), relative=True),
@@ -125,33 +69,60 @@ OF_FIELDS = (Dispersion('pivot.moment.z', 'normal', (0.1,), relative=True),
              Dispersion('magnet.moment.y', 'uniform', (-1.0, 1.0)),
              Dispersion('orbit.mean_motion', 'uniform', (0.1, 0.3)),
              Dispersion('orbit.position.y', 'uniform', (-1.0, 1.0)))
+BOTH, TIMEOUT = (*LOGS, OTHER), {'torque_timeout': 0.5}
+STILL = {**TIMEOUT, 'initial_rotor_momentum.z': 0.0}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('vary', [VARY, VARY[:3], (), (TILT, NOISE)],
-                         ids=['all', 'start', 'fields', 'noise'])
-@pytest.mark.parametrize('of_fields', [OF_FIELDS, OF_FIELDS[:1], ()],
-                         ids=['fields', 'moment', 'none'])
-def test_runs_with_fields_have_the_bits_of_propagate(monkeypatch, vary, of_fields):
-    found = ensemble(*vary, *of_fields, logs=(*LOGS, OTHER), wheels=WHEELS, **FIELDS)
-    monkeypatch.setattr(Ensemble, '_one_by_one', None)  # all runs are computed at once
-    columns = found.rows(40, 60)
-    assert set(columns['status']) == {'ok'}
-    for row, run in enumerate(columns['run']):
-        values = {**SCENE, **FIELDS, **{name: float(columns[name][row]) for name in (
-            *found.columns, *[one.key for one in of_fields]) if name.split('.')[0] in (
-            'inertia', 'pivot', 'magnet', 'orbit', 'damping', 'initial_attitude',
-            'initial_angular_velocity', 'initial_rotor_momentum')}}
-        applied = found.applied(np.array([run]))
-        logs, wheels = found.recorded(applied, 0)
-        problem = Scene.from_values(values).problem()
-        motion = problem.replaced(start=applied.starts[0], log=logs, wheels=wheels).propagate(
-            at=[2 * SECOND])
-        assert numbers({name: column[row] for name, column in columns.items()}, 'attitude.',
-                       'xyzw') == motion.attitude[0].tolist()
-    if OF_FIELDS[0] in of_fields:
-        assert len({*columns['pivot.moment.z'].tolist()}) == 20
-        np.testing.assert_allclose(columns['pivot.moment.z'], -0.002, rtol=0.5)
+@pytest.mark.parametrize(('vary', 'logs', 'wheels', 'values'), [
+    (VARY, LOGS, None, TIMEOUT), ((*VARY[:3], VARY[-1]), LOGS, None, STILL),
+    (VARY[:1] + VARY[-3:], LOGS, None, STILL), (VARY[1:3], LOGS, None, STILL),
+    (VARY[:3] + VARY[4:6], LOGS, None, STILL), (VARY[:5], (), None, {}),
+    (VARY[:5], BOTH, WHEELS, {}), (VARY[:3], (), WHEELS, {}),
+    ((*VARY[:3], VARY[5]), (*LOGS, LOGS[0].rows(slice(5, 9))), None, {}),
+    (VARY[4:7], BOTH, None, {}), (VARY[:6], BOTH, WHEELS, {}),
+    (VARY + OF_FIELDS, BOTH, WHEELS, FIELDS), (VARY[:3] + OF_FIELDS[:1], BOTH, WHEELS, FIELDS),
+    ((TILT, NOISE), BOTH, WHEELS, FIELDS)],
+    ids=['all', 'offset', 'bias', 'start', 'gain', 'free', 'two frames', 'wheels', 'two logs',
+         'bias of two', 'gain of wheels', 'fields', 'moment', 'noise'])
+def test_runs_have_the_bits_of_propagate(monkeypatch, vary, logs, wheels, values):
+    found = replace(ensemble(*vary, logs=logs, wheels=wheels, **values), times_ns=SEEN)
+    assert found.times.tolist() == [0.0, 1e-9, 333_333_333e-9, 1.0, 2.0]
+    nominal = found.problem.propagate(at=SEEN)
+    np.testing.assert_array_equal(found.nominal_motion, states(nominal))
+    monkeypatch.delattr(Ensemble, '_one_by_one')  # all runs are computed at once
+    for row in rows(found, 123_456_700, 123_456_720):
+        assert row['status'] == 'ok'
+        own = found.recorded(found.applied(np.array([row['run']])), 0) if NOISE in vary else None
+        motion = motion_of(row, logs, wheels, values, own)
+        assert row['motion'] == states(motion).tolist()
+        assert row['motion'][-1] == numbers(row, 'attitude.', 'xyzw') + numbers(
+            row, 'angular_velocity.')
+        assert row['angle_from_nominal'] == so3.angle_between(motion.attitude[-1],
+                                                              nominal.attitude[-1])
+
+
+def states(motion):
+    return np.concatenate([motion.attitude, motion.angular_velocity], axis=-1)
+
+
+def motion_of(row, logs, wheels, values, own=None):
+    """Return the motion with the values of a row; logs and wheels may be those of the run."""
+    kinds = 'inertia', 'pivot', 'magnet', 'orbit', 'damping'
+    problem = Scene.from_values({**SCENE, **values, **{
+        key: value for key, value in row.items() if key.split('.')[0] in kinds}}).problem()
+    start = State(0, numbers(row, 'initial_attitude.', 'xyzw'),
+                  numbers(row, 'initial_angular_velocity.'), (0.0, 0.0, row.get(
+                      'initial_rotor_momentum.z', problem.start.rotor_momentum[2])))
+    offset = round(row.get('clock_offset', 0.0) * SECOND)
+    logs = [TorqueLog(log.times_ns + offset, row.get('torque_gain', 1.0) * log.torques,
+                      log.in_space) for log in logs]
+    wheels = wheels and TorqueLog(wheels.times_ns + offset, wheels.torques)
+    if 'torque_bias.x' in row:
+        times = np.arange(0, 2 * SECOND + 1, SECOND // 4) if 'torque_timeout' in values else [0]
+        logs.append(TorqueLog(times, np.outer(np.ones(len(times)), [row['torque_bias.x'], 0, 0])))
+    logs, wheels = own or (logs, wheels)
+    return problem.replaced(start=start, log=logs, wheels=wheels).propagate(at=SEEN)
 
 
 @pytest.mark.parametrize(('one', 'scene', 'message'), [
@@ -173,31 +144,6 @@ def test_a_run_whose_orbit_is_not_possible_is_a_row_with_its_reason():
         '', 'mean motion of an orbit'}
     assert np.isnan(found['attitude.x'][drawn <= 0.0]).all()
     assert np.isfinite(found['attitude.x'][drawn > 0.0]).all()
-
-
-def states(motion):
-    return np.concatenate([motion.attitude, motion.angular_velocity], axis=-1)
-
-
-def motion_of(row, at=(2 * SECOND,)):
-    """Return the motion with the values of a row."""
-    body, start, _ = scene_of(row)
-    logs = [TorqueLog(TIMES + round(row['clock_offset'] * SECOND), row['torque_gain'] * TORQUES)]
-    if row['torque_bias.x']:
-        times = np.arange(0, 2 * SECOND + 1, SECOND // 4)
-        logs.append(TorqueLog(times, np.outer(np.ones(len(times)), [row['torque_bias.x'], 0, 0])))
-    return propagate(body, start, logs, at=at, torque_timeout=0.5)
-
-
-def scene_of(row):
-    """Return body, start and constant torque with the values of a row."""
-    body = RigidBody.from_moments(*numbers(row, 'inertia.i', ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
-    body = RigidBody(body.inertia, np.diag([row['damping.dxx'], 0.0, 0.0]))
-    start = State(0, numbers(row, 'initial_attitude.', 'xyzw'),
-                  numbers(row, 'initial_angular_velocity.'),
-                  (0.0, 0.0, row['initial_rotor_momentum.z']))
-    bias = row['torque_bias.x']
-    return body, start, [TorqueLog([0], [[bias, 0.0, 0.0]])] if bias else []
 
 
 @pytest.mark.parametrize('vary', [VARY[:3], VARY], ids=['shared', 'own'])
@@ -295,19 +241,11 @@ def test_a_run_that_turns_too_far_fails_and_leaves_the_others_as_they_are(monkey
     (Dispersion('initial_angular_velocity.y', 'uniform', (1e8, 2e8)), ()),  # with damping
     (Dispersion('initial_rotor_momentum.x', 'uniform', (1e8, 2e8)), ()),
     (Dispersion('damping.dxx', 'uniform', (1e7, 2e7)), ()),
+    # The rates and the torques are small: only the field turns the body.
+    (Dispersion('pivot.moment.z', 'uniform', (1e14, 2e14)), ()),
 ], ids=lambda value: getattr(value, 'key', None))
 def test_runs_that_would_take_days_fail_at_once(one, logs):
-    began = time.monotonic()
-    for row in rows(ensemble(one, logs=logs), 0, 8):
-        assert 'the body may turn by' in row['message']
-    assert time.monotonic() - began < 20.0
-
-
-def test_runs_under_fields_too_strong_to_compute_fail_at_once():
-    # The rates and the torques are small: only the field turns the body.
-    strong = {'fields': ['weight'], 'weight.moment.z': 1.0, 'weight.field.z': -9.81}
-    one = Dispersion('weight.moment.z', 'uniform', (1e14, 2e14))
-    for row in rows(ensemble(one, logs=(), **strong), 0, 4):
+    for row in rows(ensemble(one, logs=logs, **FIELDS), 0, 8):
         assert 'the body may turn by' in row['message']
 
 

@@ -126,40 +126,26 @@ def test_an_impossible_body_is_a_row_with_its_reason(tmp_path):
 
 @pytest.mark.parametrize(('change', 'message'), [
     ({'estimates': {}}, 'expected a JSON file of attitude_identify, found another'),
-    ({'estimates': [1.0]}, 'of attitude_identify, found another'),
     ({'estimates': dict.fromkeys(NAMES, 1.0)}, 'of attitude_identify, found another'),
     ({'estimates': {name: {'value': 0.02} for name in NAMES}}, "found one without 'unit'"),
     ({'estimates': {name: {'unit': 'g m^2', 'value': 1.0} for name in NAMES}},
      "inertia.ixx: expected the unit 'kg m^2', found 'g m^2'"),
-    ({'covariance': None}, 'of attitude_identify, found another'),
     ({'covariance': {'names': NAMES}}, "found one without 'matrix'"),
-    ({'covariance': {'names': NAMES[::-1], 'matrix': COVARIANCE.tolist()}},
-     'of attitude_identify, found another'),
     ({'guess_attitude_xyzw': [0, 0, 0, 0]}, 'of attitude_identify, found another'),
-    ({'guess_attitude_xyzw': [0, 0, 1]}, 'of attitude_identify, found another'),
-    ({'guess_attitude_xyzw': [0, 0, 0, None]}, 'of attitude_identify, found another'),
-    ({'converged': 1}, 'expected a fit that converged'),
     ({'converged': False}, 'expected a fit that converged'),
-    ({'verdict': None}, 'of attitude_identify, found another'),
     ({'verdict': {'level': 3}}, 'found one that is 3 (attitude_ensemble --force takes it)'),
     ({'verdict': {'level': 'rejected'}}, 'is rejected (attitude_ensemble --force takes it)'),
-    ({'names': ('mass', *NAMES[1:])}, 'mass: expected an estimate that can vary'),
     ({'names': ('torque_bais.x', *NAMES[1:])}, 'did you mean torque_bias.x?'),
     ({'names': ('initial_attitude.x', *NAMES[1:])}, 'initial_attitude: expected three components'),
     ({'names': ('mount.x', 'mount.y', 'mount.z', 'clock_offset')}, 'found none'),
     ({'values': [np.inf, 1, 1, 1]}, 'inertia.ixx: expected a finite value, found inf'),
     ({'names': (NAMES[0], *ATTITUDE), 'values': [3.0, 0, 0, 0]}, 'inertia: not physical'),
     ({'matrix': COVARIANCE[:3]}, 'of attitude_identify, found another'),
-    ({'matrix': np.where(np.eye(4)[0], np.nan, COVARIANCE)}, 'expected finite numbers'),
     ({'matrix': np.where(np.eye(4)[:1].T, np.nan, COVARIANCE)},
      'inertia.ixx: expected an estimate that the recording determines'),
     ({'matrix': -COVARIANCE}, 'expected a positive semidefinite matrix'),
     ({'matrix': np.triu(COVARIANCE)}, 'expected a symmetric matrix'),
-    ({'matrix': COVARIANCE + np.outer(SIGMA, SIGMA) * (np.eye(4)[::-1])}, 'semidefinite'),
-    ({'matrix': np.outer(SIGMA, SIGMA) * (1.5 * np.eye(4) - 0.5)}, 'with the eigenvalue -0.5'),
     ({'matrix': [[0, 1e-14, 0, 0], [1e-14, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
-     'with the eigenvalue -1'),
-    ({'matrix': [[1e-300, 1e300, 0, 0], [1e300, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
      'with the eigenvalue -1'),
     ({'matrix': COVARIANCE + np.diag([np.inf, 0, 0, 0])}, 'expected finite numbers'),
 ])
@@ -175,7 +161,7 @@ def test_a_file_that_is_no_fit_is_one_line(tmp_path, capsys, change, message):
     assert not (tmp_path / 'out').exists()
 
 
-@pytest.mark.parametrize('text', ['', '{', '[' * 100_000, '[1]', '{"names": {"x": 1}}', '9' * 5000,
+@pytest.mark.parametrize('text', ['{', '[' * 100_000, '[1]', '9' * 5000,
                                   '{"estimates": {"x": 1, "x": 2}}', '\udcff'])
 def test_a_file_that_is_not_json_is_one_line(tmp_path, text):
     path = tmp_path / 'fitted.json'
@@ -207,26 +193,31 @@ def ensemble(folder, scene, out):
         str(folder / 'in.mcap'), '--runs', '200', '--seed', '4', '-o', str(out)])
 
 
+@pytest.fixture(scope='module')
+def spread(fit, tmp_path_factory):
+    """Run the second command; return its folder."""
+    out = tmp_path_factory.mktemp('spread') / 'out'
+    assert ensemble(fit, 'fitted.yaml', out) == 0
+    return out
+
+
 @pytest.mark.slow
-def test_from_a_bag_to_a_spread_in_two_commands(fit, tmp_path, capsys):
-    assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
-    assert 'clock_offset: no effect on the motion' in capsys.readouterr().err
-    table = parquet.read_table(tmp_path / 'out' / 'runs.parquet')
+def test_from_a_bag_to_a_spread_in_two_commands(fit, spread):
+    table = parquet.read_table(spread / 'runs.parquet')
     assert set(table['status'].to_pylist()) == {'ok'}
     data = json.loads((fit / 'fitted.json').read_text())
     assert {name: table.schema.field(name).metadata[b'unit'].decode() for name in (
         'inertia.ixy', 'torque_bias.x')} == {'inertia.ixy': 'kg m^2', 'torque_bias.x': 'N m'}
     for name, one in data['estimates'].items():
         if name in table.column_names and name not in ATTITUDE:
-            spread = table[name].to_numpy() - one['value']
-            assert abs(spread.mean()) < 4 * one['sigma'] / np.sqrt(200), name
-            assert abs(spread.std() - one['sigma']) < 4 * one['sigma'] / np.sqrt(400), name
+            numbers = table[name].to_numpy() - one['value']
+            assert abs(numbers.mean()) < 4 * one['sigma'] / np.sqrt(200), name
+            assert abs(numbers.std() - one['sigma']) < 4 * one['sigma'] / np.sqrt(400), name
 
 
 @pytest.mark.slow
-def test_the_true_motion_ends_within_the_spread(fit, tmp_path):
-    assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
-    table, truth = parquet.read_table(tmp_path / 'out' / 'runs.parquet'), measurements.truth()
+def test_the_true_motion_ends_within_the_spread(spread):
+    table, truth = parquet.read_table(spread / 'runs.parquet'), measurements.truth()
     ends = np.stack([table[f'attitude.{axis}'].to_numpy() for axis in 'xyzw'], axis=1)
     # The truth of an independent solver, whose last state is later.
     row = np.flatnonzero(truth.stamps_ns == truth.torque_times[-1]).item()
@@ -237,11 +228,10 @@ def test_the_true_motion_ends_within_the_spread(fit, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_row_has_the_bits_of_propagate_for_its_values(fit, tmp_path):
-    assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
+def test_a_row_has_the_bits_of_propagate_for_its_values(fit, spread):
     problem = read_problem(fit / 'in.mcap', fit / 'fitted.yaml')
     (log,), start = problem.logs, problem.start
-    for row in parquet.read_table(tmp_path / 'out' / 'runs.parquet').to_pylist()[::40]:
+    for row in parquet.read_table(spread / 'runs.parquet').to_pylist()[::40]:
         def numbers(prefix, axes='xyz', row=row):
             return [row[f'{prefix}{axis}'] for axis in axes]
         body = RigidBody.from_moments(*numbers('inertia.i', ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
@@ -255,37 +245,25 @@ def test_a_row_has_the_bits_of_propagate_for_its_values(fit, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_runs_are_centred_on_the_fit_whatever_the_scene_says(fit, tmp_path):
-    assert ensemble(fit, 'fitted.yaml', tmp_path / 'fitted') == 0
+def test_the_runs_are_centred_on_the_fit_whatever_the_scene_says(fit, spread, tmp_path, capsys):
     assert ensemble(fit, 'guess.yaml', tmp_path / 'guess') == 0
-    assert (tmp_path / 'fitted' / 'runs.parquet').read_bytes() \
-        == (tmp_path / 'guess' / 'runs.parquet').read_bytes()
+    assert 'clock_offset: no effect on the motion' in capsys.readouterr().err
+    assert (tmp_path / 'guess' / 'runs.parquet').read_bytes() \
+        == (spread / 'runs.parquet').read_bytes()
 
 
 @pytest.mark.slow
-def test_independent_deviations_would_exaggerate_the_spread(fit, tmp_path):
+def test_another_covariance_is_refused_and_gives_another_spread(fit, spread, tmp_path, capsys):
+    # If the estimates were independent, the spread would be larger.
     data = json.loads((fit / 'fitted.json').read_text())
     matrix = np.array(data['covariance']['matrix'])
     data['covariance']['matrix'] = np.diag(np.diag(matrix)).tolist()
     for name in ('in.mcap', 'fitted.yaml'):
         (tmp_path / name).write_bytes((fit / name).read_bytes())
     (tmp_path / 'fitted.json').write_text(json.dumps(data))
-    medians = []
-    for folder in (fit, tmp_path):
-        assert ensemble(folder, 'fitted.yaml', tmp_path / folder.name) == 0
-        summary = json.loads((tmp_path / folder.name / 'summary.json').read_text())
-        medians.append(summary['angle_from_nominal_rad']['p50'])
-    assert medians[1] > 5 * medians[0]
-
-
-@pytest.mark.slow
-def test_another_covariance_is_refused(fit, tmp_path, capsys):
-    assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
-    data = json.loads((fit / 'fitted.json').read_text())
-    data['covariance']['matrix'][0][0] *= 1.5
-    (tmp_path / 'fitted.json').write_text(json.dumps(data))
-    (tmp_path / 'in.mcap').write_bytes((fit / 'in.mcap').read_bytes())
-    (tmp_path / 'fitted.yaml').write_bytes((fit / 'fitted.yaml').read_bytes())
-    capsys.readouterr()
-    assert ensemble(tmp_path, 'fitted.yaml', tmp_path / 'out') == 2
+    assert ensemble(tmp_path, 'fitted.yaml', spread) == 2
     assert 'expected the covariance of its runs' in capsys.readouterr().err
+    assert ensemble(tmp_path, 'fitted.yaml', tmp_path / 'out') == 0
+    medians = [json.loads((folder / 'summary.json').read_text())['angle_from_nominal_rad']['p50']
+               for folder in (spread, tmp_path / 'out')]
+    assert medians[1] > 5 * medians[0]

@@ -60,6 +60,7 @@ def test_what_else_is_installed(installed):
     assert (packages / NAME / 'py.typed').exists()
     share = installed / 'share' / NAME
     assert (share / 'config' / 'iss.yaml').exists()
+    assert (share / 'config' / 'security' / 'rigid_body_ros.policy.xml').exists()
     assert {path.name for path in (share / 'launch').glob('*.py')} \
         == {path.name for path in (ROOT / 'launch').glob('*.py')}
 

@@ -48,8 +48,8 @@ def ensemble_of(path, text, problem=PROBLEM, seconds=5.0):
     return Ensemble(problem, end_ns, dispersions.load(path), 0)
 
 
-@pytest.mark.parametrize('eigenvalues', [(1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (1.0, 1.0, 1.0),
-                                         (1.0, 0.3, 0.3), (1.0, 0.3, 0.05), (1.0, 0.1, 0.0)])
+@pytest.mark.parametrize('eigenvalues', [(1.0, 0.0, 0.0), (1.0, 1.0, 1.0), (1.0, 0.3, 0.3),
+                                         (1.0, 0.3, 0.05)])
 def test_the_radius_contains_95_percent_of_the_vectors(eigenvalues):
     axes = so3.matrix(so3.normalize([0.1, -0.4, 0.7, 0.5]))
     covariance = axes * eigenvalues @ axes.T
@@ -132,8 +132,8 @@ def test_a_spin_is_not_linear_when_its_angles_exceed_half_a_turn(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('scale', [1e-4, 1e-6])
-def test_a_warning_comes_before_motions_near_the_separatrix_part(tmp_path, scale):
+def test_a_warning_comes_before_motions_near_the_separatrix_part(tmp_path):
+    scale = 1e-4
     near = Problem(RigidBody.from_moments(1.0, 2.0, 3.0), State(
         angular_velocity=(10.0 * scale, 1.0, 10.0 * scale)))
     text = '\n'.join(f'initial_angular_velocity.{axis}: {{normal: {scale}}}' for axis in 'xyz')
