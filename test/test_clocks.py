@@ -17,8 +17,8 @@
 from dataclasses import replace
 
 from conftest import at_night, SECOND
-from live import decoded, replayed, TUMBLER
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
+from live import decoded, replayed, Session, TUMBLER
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
@@ -40,9 +40,9 @@ def run_clock(live, begin_ns, end_ns, torque=None):
         start_clock(live, begin_ns)
     for now_ns in range(begin_ns, end_ns + 1, TICK_NS):
         live.set_clock(now_ns)
+        live.spin(0.003)
         if torque and now_ns % (SECOND // 10) == 0:
             live.publish(now_ns, 'base_link', torque(now_ns))
-        live.spin(0.003)
 
 
 def start_clock(live, now_ns):
@@ -74,7 +74,7 @@ def wobble(now_ns):
 
 
 def test_a_clock_that_is_not_yet_valid_and_one_that_stands(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+    with Session(TUMBLER, domain, *SIMULATED) as live:
         live.publish(5 * SECOND, '', [1.0, 0.0, 0.0])
         for _ in range(50):
             live.set_clock(0)  # means that there is no time yet
@@ -105,8 +105,8 @@ def test_a_clock_that_is_not_yet_valid_and_one_that_stands(tmp_path, domain):
 @pytest.mark.parametrize('action', ['reset', *at_night('rebase', 'ignore')])
 def test_a_clock_that_jumps_ahead(tmp_path, domain, action):
     end_ns, again_ns = 6 * SECOND, 3600 * SECOND
-    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'torque_timeout:=0.5',
-                     '-p', f'on_time_jump:={action}') as live:
+    with Session(TUMBLER, domain, *SIMULATED, '-p', 'torque_timeout:=0.5',
+                 '-p', f'on_time_jump:={action}') as live:
         run_clock(live, 5 * SECOND, end_ns, wobble)
         settle(live, end_ns)
         before = decoded(live, ATTITUDE, messages.QUATERNION)[-1].values.tolist()
@@ -137,7 +137,7 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
     begin_ns, end_ns = 100 * SECOND, 102 * SECOND
     again_ns = end_ns - back_ns
     initial = scene.load(TUMBLER)
-    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', f'on_time_jump:={action}') as live:
+    with Session(TUMBLER, domain, *SIMULATED, '-p', f'on_time_jump:={action}') as live:
         run_clock(live, begin_ns, end_ns, wobble)
         settle(live, end_ns)
         before = decoded(live, ATTITUDE, messages.QUATERNION)[-1].values.tolist()
@@ -178,8 +178,8 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
 
 @pytest.mark.nightly
 def test_a_torque_that_timed_out_is_not_revived(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=rebase',
-                     '-p', 'torque_timeout:=0.2') as live:
+    with Session(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=rebase',
+                 '-p', 'torque_timeout:=0.2') as live:
         settle(live, 5 * SECOND)
         live.publish(5 * SECOND, '', [0.05, 0.0, 0.0])
         live.wait_until(lambda: accepted(live), 'the torque')
@@ -198,8 +198,8 @@ def test_a_torque_that_timed_out_is_not_revived(tmp_path, domain):
 
 
 def test_a_torque_may_overtake_the_clock_it_is_stamped_by(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore',
-                     '-p', 'history:=60.0') as live:
+    with Session(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore',
+                 '-p', 'history:=60.0') as live:
         settle(live, 5 * SECOND)
         early = [5 * SECOND + k * TICK_NS for k in range(1, 201)]
         for stamp_ns in early:
@@ -215,7 +215,7 @@ def test_a_torque_may_overtake_the_clock_it_is_stamped_by(tmp_path, domain):
 
 @pytest.mark.nightly
 def test_a_torque_that_the_clock_does_not_reach_is_rejected(domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+    with Session(TUMBLER, domain, *SIMULATED) as live:
         settle(live, 5 * SECOND)
         for _ in range(3):
             live.publish(7 * SECOND, '', [1.0, 0.0, 0.0])
@@ -232,7 +232,7 @@ def test_a_torque_that_the_clock_does_not_reach_is_rejected(domain):
 @pytest.mark.parametrize('ahead_ns', [2 * SECOND, 7200 * SECOND])
 def test_a_torque_may_overtake_a_clock_that_jumps_back(tmp_path, domain, ahead_ns):
     begin_ns, torque = 100 * SECOND, [0.0, 0.0, 0.01]
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+    with Session(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, begin_ns + ahead_ns - SECOND, begin_ns + ahead_ns, wobble)
         settle(live, begin_ns + ahead_ns)
         live.publish(begin_ns, '', torque)
@@ -248,7 +248,7 @@ def test_a_torque_may_overtake_a_clock_that_jumps_back(tmp_path, domain, ahead_n
 
 @pytest.mark.nightly
 def test_a_state_that_takes_long_is_published_while_the_clock_stands(domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
+    with Session(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
         settle(live, 5 * SECOND)
         live.set_state(State(5 * SECOND, (0.0, 0.0, 0.0, 1.0), (1e4, 2e4, 3e4)))
         live.publish(5 * SECOND, '', [1e-3, 0.0, 0.0])
@@ -260,7 +260,7 @@ def test_a_state_that_takes_long_is_published_while_the_clock_stands(domain):
 
 @pytest.mark.nightly
 def test_a_reset_recovers_from_an_ignored_jump(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
+    with Session(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
         run_clock(live, 50 * SECOND, 51 * SECOND, wobble)
         for _ in range(10):
             live.set_clock(10 * SECOND)
@@ -278,7 +278,7 @@ def test_a_reset_recovers_from_an_ignored_jump(tmp_path, domain):
 
 def test_a_given_start_time_holds_in_every_round_of_a_bag(tmp_path, domain):
     start_ns = 100 * SECOND + 12345
-    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', f'start_time:={start_ns}') as live:
+    with Session(TUMBLER, domain, *SIMULATED, '-p', f'start_time:={start_ns}') as live:
         rounds = []
         start_clock(live, 99 * SECOND)
         for _ in range(2):
@@ -294,12 +294,12 @@ def test_a_given_start_time_holds_in_every_round_of_a_bag(tmp_path, domain):
 
 
 def test_torques_may_be_timed_by_their_arrival(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'time_source:=arrival') as live:
+    with Session(TUMBLER, domain, *RELIABLE, '-p', 'time_source:=arrival') as live:
         begin_ns = live.now_ns()
         for number in range(20):
+            live.spin(0.02)
             # Negative stamps are not valid, but nobody needs them.
             live.publish((number - 3) * SECOND, 'base_link', [0.01, 0.0, 1e-3 * number])
-            live.spin(0.02)
         live.wait_for_torques(20)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
@@ -313,7 +313,7 @@ def test_torques_may_be_timed_by_their_arrival(tmp_path, domain):
 @pytest.mark.parametrize('source', ['header', *at_night('arrival')])
 def test_torques_between_two_ticks_of_the_clock_all_have_effect(tmp_path, domain, source):
     tick_ns, count = SECOND // 10, 20
-    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', f'time_source:={source}') as live:
+    with Session(TUMBLER, domain, *SIMULATED, '-p', f'time_source:={source}') as live:
         start_clock(live, 5 * SECOND)
         for tick in range(5):
             live.set_clock(5 * SECOND + tick * tick_ns)
@@ -409,7 +409,7 @@ def test_a_small_step_of_a_wall_clock_is_a_jump_if_no_step_is_allowed(monkeypatc
 
 
 def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+    with Session(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
         given = State(6 * SECOND - 4 * TICK_NS - 7, (0.5, 0.5, -0.5, 0.5), (0.3, 0.2, -0.1))
         live.set_state(given)
@@ -442,7 +442,7 @@ def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
 
 @pytest.mark.nightly
 def test_between_stamps_of_a_new_epoch_the_motion_is_that_of_its_log(domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+    with Session(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, 5 * SECOND, 6 * SECOND)
         start = State(6 * SECOND, (0.5, 0.5, -0.5, 0.5), (0.3, 0.2, -0.1))
         live.set_state(start)
@@ -491,7 +491,7 @@ def offsets(live):
 
 
 def test_senders_whose_clocks_are_off_are_named_until_they_are_right(domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'history:=60.0', '-p',
+    with Session(TUMBLER, domain, *RELIABLE, '-p', 'history:=60.0', '-p',
                      'max_past:=20.0') as live:
         live.publish(live.now_ns() - 30 * SECOND, '', [1e-3, 0.0, 0.0])
         live.publish(live.now_ns() - 10 * SECOND, '', [1e-3, 0.0, 0.0])
@@ -513,7 +513,7 @@ def test_senders_whose_clocks_are_off_are_named_until_they_are_right(domain):
 
 
 def test_stamps_of_another_clock_are_rejected_and_those_that_nobody_fills_are_named(domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+    with Session(TUMBLER, domain, *RELIABLE) as live:
         live.publish(live.now_ns() - 86400 * SECOND, 'base_link', [0.01, 0.0, 0.0])
         live.publish(12 * SECOND, 'base_link', [0.01, 0.0, 0.0])
         live.wait_for_torques(2)

@@ -20,7 +20,7 @@ import time
 
 from conftest import SECOND
 from geometry_msgs.msg import QuaternionStamped, WrenchStamped
-from live import decoded, get_parameters, replayed, TUMBLER
+from live import decoded, get_parameters, replayed, Session, TUMBLER
 from live_session import ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
@@ -36,8 +36,8 @@ OK, WARN, ERROR = range(3)
 def finished(tmp_path, live):
     """End a session; check that a replay of the accepted torques gives the committed states."""
     live.dump_parameters(tmp_path / 'live.yaml')
-    words = live.end()
-    assert live.process.returncode == 0
+    assert live.stop() == 0
+    words = live.words()
     run = replayed(tmp_path, live)
     np.testing.assert_array_equal(run.committed, run.replay)
     assert not [status for array in live.diagnostics for status in array.status
@@ -57,7 +57,7 @@ def torques_of(live):
 
 
 def test_every_rejection_is_counted_under_its_cause(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'stale_after:=0.0') as live:
+    with Session(TUMBLER, domain, *RELIABLE, '-p', 'stale_after:=0.0') as live:
         now_ns = live.now_ns()
         faults = {
             'malformed': [b'\0\1\0\0', b'\0\1\0\0' + bytes(40),
@@ -97,7 +97,7 @@ def test_every_rejection_is_counted_under_its_cause(tmp_path, domain):
 
 
 def test_duplicates_and_bursts_are_taken(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+    with Session(TUMBLER, domain, *RELIABLE) as live:
         begin_ns = live.now_ns()
         burst = [begin_ns + k * 10 ** 5 for k in range(900)]
         for stamp_ns in burst:
@@ -118,7 +118,7 @@ def test_duplicates_and_bursts_are_taken(tmp_path, domain):
 
 
 def test_silence_ends_the_torque_and_is_reported(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'torque_timeout:=0.3') as live:
+    with Session(TUMBLER, domain, *RELIABLE, '-p', 'torque_timeout:=0.3') as live:
         live.publish(live.now_ns(), '', [0.0, 0.05, 0.0])
         live.wait_until(lambda: 'the torque is zero, because torque_timeout (' in torques_of(
             live)[2], 'a warning')
@@ -129,7 +129,7 @@ def test_silence_ends_the_torque_and_is_reported(tmp_path, domain):
 
 
 def test_a_publisher_dies_and_returns_and_two_are_named(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'stale_after:=0.0') as live:
+    with Session(TUMBLER, domain, *RELIABLE, '-p', 'stale_after:=0.0') as live:
         live.publish(live.now_ns(), '', [0.01, 0.0, 0.0])
         live.wait_for_torques(1)
         live.disconnect()
@@ -150,7 +150,7 @@ def test_a_publisher_dies_and_returns_and_two_are_named(tmp_path, domain):
 
 
 def test_incompatible_qos_is_reported_by_name(domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+    with Session(TUMBLER, domain, *RELIABLE) as live:
         live.disconnect()
         live.node.create_publisher(WrenchStamped, 'torque', QoSProfile(
             depth=10, reliability=ReliabilityPolicy.BEST_EFFORT),

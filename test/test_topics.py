@@ -16,8 +16,7 @@
 
 import time
 
-from live import TUMBLER
-from live_session import LiveSession
+from live import Session, TUMBLER
 import nodes
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
@@ -85,7 +84,7 @@ def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
             published.pop(name, None)
             subscribed.pop(name, None)
         subscribed['/disturbance'] = subscribed['/torque']
-    with LiveSession(TUMBLER, domain, '-p', f'mode:={mode}', *arguments) as live:
+    with Session(TUMBLER, domain, '-p', f'mode:={mode}', *arguments) as live:
         node = live.node
         writers = found(live, len(published), node.get_publisher_names_and_types_by_node,
                         node.get_publishers_info_by_topic)
