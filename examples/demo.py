@@ -20,6 +20,7 @@ import os
 from pathlib import Path
 import sys
 import time
+import webbrowser
 
 from live_session import ACCEPTED, COMMITTED, LiveSession, RELIABLE
 import numpy as np
@@ -32,20 +33,34 @@ ROOT = Path(__file__).resolve().parent.parent
 CONFIG, RECORDINGS, OUTPUT = ROOT / 'config', ROOT / 'test' / 'recordings', ROOT / 'demo'
 #: Simulated seconds per second of wall time.
 SPEED = 6.0
+BEGAN = time.monotonic()
 
 
 def main() -> int:
     OUTPUT.mkdir(exist_ok=True)
-    print('1. Eight hours of the Space Station, offline\n', flush=True)
+    say('replay eight hours of the Space Station, and compare with NASA\'s states')
     replay(RECORDINGS / 'iss.mcap', CONFIG / 'iss.yaml', OUTPUT / 'iss.mcap')
     compare_with_nasa()
-    print(f'\n2. A tumbling CubeSat, live: torques over DDS at {SPEED:g} times real time\n',
-          flush=True)
+    say(f'run the node on a minute of torques over DDS, at {SPEED:g} times real time')
     run_live()
-    print('\n3. The torques that the node accepted, replayed offline\n', flush=True)
+    say('replay the torques that the node accepted, and compare bit for bit')
     replay(OUTPUT / 'live.mcap', OUTPUT / 'live.yaml', OUTPUT / 'replay.mcap', '--topic', ACCEPTED,
            '--report', OUTPUT / 'report.html')
-    return compare_with_live()
+    status = compare_with_live()
+    show(OUTPUT / 'report.html')
+    return status
+
+
+def say(step):
+    """Print a step, with the time since the start."""
+    print(f'\n[{time.monotonic() - BEGAN:4.1f} s] {step}\n', flush=True)
+
+
+def show(page):
+    """Open a page, if there is a display and a browser; otherwise, print where it is."""
+    say(f'to watch the body move, open {os.path.relpath(page)} in a browser')
+    if os.environ.get('DISPLAY') or os.environ.get('WAYLAND_DISPLAY'):
+        webbrowser.open(page.as_uri())
 
 
 def replay(recording_path, scene, output, *arguments):
@@ -112,8 +127,7 @@ def compare_with_live():
     same = np.all(attitude.values[rows] == states[:, messages.ORIENTATION], axis=1)
     same &= np.all(rates.values[rows] == states[:, messages.ANGULAR_VELOCITY], axis=1)
     print(f'\nLive and replay agree bit for bit at {same.sum()} of {same.size} stamps.')
-    print(f'The recordings (.mcap) and plots (.png) are in {os.path.relpath(OUTPUT)}.\n'
-          f'To watch the body move, open {os.path.relpath(OUTPUT / "report.html")} in a browser.')
+    print(f'The recordings (.mcap) and plots (.png) are in {os.path.relpath(OUTPUT)}.')
     return 0 if same.all() and same.size == len(source.stamps_ns) else 1
 
 
