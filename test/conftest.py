@@ -19,6 +19,7 @@ import fcntl
 from importlib.util import find_spec
 import os
 from pathlib import Path
+import re
 import resource
 import subprocess
 import sys
@@ -53,10 +54,9 @@ NEEDS = {
     'pyarrow': ['cluster', 'dispersions', 'ensemble', 'ensemble_folder', 'ensemble_loop',
                 'ensemble_results', 'fitted', 'identify_command', 'wheel_command', 'wheels'],
     'zarr': ['cluster', 'ensemble', 'ensemble_folder', 'ensemble_loop', 'ensemble_results'],
-    'rclpy': ['clock_mode', 'clocks', 'closed_loop', 'crash', 'executors', 'faults', 'fleet',
-              'launch', 'lifecycle', 'lockstep', 'monitor_live', 'node', 'node_arguments',
-              'open_loop', 'overload', 'regress', 'robot_description', 'silence', 'soak',
-              'sources', 'topics', 'torque_topics', 'wheel_command', 'workspace'],
+    'rclpy': ['sources', 'workspace', *(
+        path.stem.removeprefix('test_') for path in sorted(Path(__file__).parent.glob('test_*.py'))
+        if re.search('^pytestmark.*mark.ros', path.read_text(encoding='utf-8'), re.MULTILINE))],
     'colcon_ros': ['workspace'],
     'mpmath': ['actuators', 'arm', 'changes', 'elementary', 'elliptic', 'examples', 'extremes',
                'fields', 'free_motion', 'peers', 'propagate', 'reference', 'rods', 'sensitivity',

@@ -14,14 +14,10 @@
 
 """attitude_node over DDS, in a process where the process matters: live is replay, and outputs."""
 
-import os
-import shutil
 import signal
-import subprocess
-import sys
 import time
 
-from conftest import at_night, RECORDINGS, ROOT, SECOND
+from conftest import at_night, RECORDINGS, SECOND
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
 from live import (
     commit,
@@ -252,40 +248,6 @@ def test_signals_end_it_cleanly(domain, number, count):
         words = live.words()
         assert 'Traceback' not in words
         assert 'rror' not in words
-
-
-@pytest.fixture
-def root(tmp_path):
-    """Return a copy of what the demo needs, because it writes to the folder of the repository."""
-    shutil.copytree(ROOT / 'examples', tmp_path / 'examples')
-    for name in ('config', 'test'):
-        (tmp_path / name).symlink_to(ROOT / name)
-    return tmp_path
-
-
-def test_the_demo_runs(root, domain):
-    result = subprocess.run([sys.executable, 'examples/demo.py'], cwd=root,
-                            env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
-                            capture_output=True, text=True, timeout=300, check=False)
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert 'Live and replay agree bit for bit at 3001 of 3001 stamps.' in result.stdout
-    assert 'open demo/report.html in a browser' in result.stdout
-    assert 'attitude_replay' in (root / 'demo' / 'report.html').read_text(encoding='utf-8')
-
-
-def test_an_interrupted_demo_says_so_in_one_line(root, domain):
-    process = subprocess.Popen([sys.executable, 'examples/demo.py'], cwd=root,
-                               env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
-                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-                               start_new_session=True)
-    try:
-        if not any(line.startswith('The node is up.') for line in process.stdout):
-            raise RuntimeError(process.stderr.read())
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal sends it
-        _, errors = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    assert (errors, process.returncode) == ('demo: interrupted\n', 130)
 
 
 def test_a_recorder_that_starts_later_gets_the_log_from_its_marker_on(context):
