@@ -52,14 +52,14 @@ SECOND = 10 ** 9
 NEEDS = {
     'distributed': ['cluster'],
     'pyarrow': ['cluster', 'dispersions', 'ensemble', 'ensemble_folder', 'ensemble_loop',
-                'ensemble_results', 'fitted', 'identify_command', 'wheel_command', 'wheels'],
+                'ensemble_results', 'fitted', 'identify_command', 'wheel_command'],
     'zarr': ['cluster', 'ensemble', 'ensemble_folder', 'ensemble_loop', 'ensemble_results'],
     'rclpy': ['sources', 'workspace', *(
         path.stem.removeprefix('test_') for path in sorted(Path(__file__).parent.glob('test_*.py'))
         if re.search('^pytestmark.*mark.ros', path.read_text(encoding='utf-8'), re.MULTILINE))],
     'colcon_ros': ['workspace'],
     'mpmath': ['actuators', 'arm', 'changes', 'elementary', 'elliptic', 'examples', 'extremes',
-               'fields', 'free_motion', 'peers', 'propagate', 'reference', 'rods', 'sensitivity',
+               'fields', 'free_motion', 'laws', 'peers', 'reference', 'rods', 'sensitivity',
                'sources', 'steppers', 'tensor', 'terms', 'tradeoff', 'truth', 'validation',
                'wheels'],  # not known to rosdep
 }

@@ -19,7 +19,15 @@ import json
 from pathlib import Path
 
 import numpy as np
-from rigid_body_ros import GravityGradient, propagate, RigidBody, State, TorqueLog, UniformField
+from rigid_body_ros import (
+    GravityGradient,
+    propagate,
+    Propagator,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+)
 import truth
 
 _HERE = Path(__file__).resolve().parent
@@ -91,6 +99,12 @@ def bound_at(times_ns, run, start_ns, count=20_001):
     return bound(run(fine))[np.searchsorted(fine, times_ns)]
 
 
+def relative(found, expected):
+    """Return errors relative to the largest expected vector; zero vectors must be exact."""
+    size = np.linalg.norm(expected.astype(float), axis=1).max()
+    return np.linalg.norm((found - expected).astype(float), axis=1) / (size or 1.0)
+
+
 def reference(name):
     """Return body, start and all values of a motion of wheels, actuators or changing bodies."""
     values = json.loads((_HERE / 'truth_loop' / f'{name}.json').read_text())
@@ -115,24 +129,45 @@ def assert_agrees(problem, values):
                 1.0, np.max(abs(speeds)))
 
 
-def arrivals(logs, wheels):
-    """Return all samples as (time_ns, source, torque, frame); source -1 acts on the rotors."""
-    return [(int(time_ns), source, log.torques[row], 'space' if log.in_space[row] else 'body')
-            for source, log in [*enumerate(logs), (-1, wheels)]
-            for row, time_ns in enumerate(log.times_ns)]
+def calls(problem):
+    """Return what applies the torques, commands and bodies of a problem: (method, *arguments)."""
+    found = [('apply', int(time_ns), torque, 'space' if in_space else 'body', source)
+             for source, log in enumerate(problem.logs)
+             for time_ns, torque, in_space in zip(log.times_ns, log.torques, log.in_space)]
+    if problem.wheels:
+        found += [('apply_wheels', int(time_ns), torque)
+                  for time_ns, torque in zip(problem.wheels.times_ns, problem.wheels.torques)]
+    if problem.efforts:
+        found += [('apply_efforts', int(time_ns), {
+            name: effort for name, effort in zip(problem.named_wheels.names, row)
+            if effort == effort})
+            for time_ns, row in zip(problem.efforts.times_ns, problem.efforts.efforts)]
+    if problem.changes:
+        found += [('apply_body', int(time_ns), body, problem.changes.keep)
+                  for time_ns, body in zip(problem.changes.times_ns, problem.changes.bodies)]
+    return found
 
 
-def apply(propagator, arrival):
-    """Apply a sample to a propagator; return whether the propagator accepted it."""
-    time_ns, source, torque, frame = arrival
-    if source < 0:
-        return propagator.apply_wheels(time_ns, torque)
-    return propagator.apply(time_ns, torque, frame, source)
+def live(problem, start=None, history=100.0):
+    """Return a propagator to which the calls of a problem can be applied."""
+    options = problem.options
+    return Propagator(
+        problem.body, start or problem.start, wheels=problem.named_wheels
+        and problem.named_wheels.wheels, fields=problem.fields, actuator=problem.actuators or None,
+        solver=options.solver, tolerance=options.tolerance, max_step=options.max_step,
+        torque_timeout=options.torque_timeout, history=history)
+
+
+def applied(propagator, call):
+    """Apply a call to a propagator; return whether the propagator accepted it."""
+    name, *arguments = call
+    return getattr(propagator, name)(*arguments)
 
 
 def numbers(motion):
-    """Return all numbers of a trajectory or a state as rows."""
-    return np.hstack([motion.attitude, motion.angular_velocity, motion.rotor_momentum])
+    """Return all numbers of a trajectory, shape (m, n), or of a state, shape (n,)."""
+    names = 'attitude', 'angular_velocity', 'rotor_momentum', 'wheel_speeds', 'wheel_efforts'
+    return np.concatenate([getattr(motion, name) for name in names], axis=-1)
 
 
 def _tensor(values):

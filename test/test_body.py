@@ -105,19 +105,6 @@ def test_torque_and_acceleration_undo_each_other():
                                atol=1e-15)
 
 
-@pytest.mark.parametrize(('tensor', 'message'), [
-    (np.eye(2), '3 by 3 finite numbers'),
-    ([[np.nan, 0, 0], [0, 1, 0], [0, 0, 1]], 'found .*nan'),
-    ([[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1]], 'symmetric tensor, found .*0.2'),
-    (np.diag([1.0, -2.0, 1.5]), 'positive definite.* -2, 1, 1.5'),
-    (np.diag([1.0, 1.0, 3.0]), 'not physical, .* 1, 1, 3 kg m.*other two by 50 % .limit 3 %'),
-    (np.eye(3) * 1e-310, 'whose values and inverses fit a double'),
-    (np.zeros((3, 3)), 'positive definite')])
-def test_impossible_tensors_are_refused_with_their_numbers(tensor, message):
-    with pytest.raises(ValueError, match=message):
-        RigidBody(tensor)
-
-
 def test_the_tensors_of_a_body_cannot_be_changed():
     # The constants of a body are computed once.
     body = RigidBody(np.eye(3), damping=np.eye(3))
@@ -138,18 +125,6 @@ def test_a_thin_plate_is_a_body_and_rounded_digits_are_told():
     np.testing.assert_allclose(rounded.triangle_excess, 0.4167 / 0.4166 - 1.0, rtol=1e-9)
 
 
-@pytest.mark.parametrize(('masses', 'positions', 'message'), [
-    ([1.0, -1.0], np.eye(3)[:2], 'greater than zero'), ([], np.zeros((0, 3)), 'greater than zero'),
-    ([1.0, 0.0, 1.0], np.eye(3), 'greater than zero'),
-    ([1.0], np.eye(3), 'shape'), ([1.0, 1.0], [[0, 0, 0], [0, 0, 1]], 'positive definite'),
-    ([1.0], [[1.0, 2.0, 3.0]], 'on one line'),
-    ([1.0, np.inf, 1.0], np.eye(3), 'masses: expected at least one, each finite and greater'),
-    ([1.0, 1.0, 1.0], np.diag([1.0, np.nan, 1.0]), 'finite numbers')])
-def test_point_masses_that_make_no_body_are_refused(masses, positions, message):
-    with pytest.raises(ValueError, match=message):
-        RigidBody.from_point_masses(masses, positions)
-
-
 def line(random, count, offset, thickness=0.0):
     """Return masses and positions along a random line of about 1 m, somewhere in space."""
     direction = so3.normalize(random.normal(size=3))
@@ -160,10 +135,10 @@ def line(random, count, offset, thickness=0.0):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('offset', [0.0, 1.0, 1e3, 1e7])
-@pytest.mark.parametrize('count', [2, 3, 10, 1000, 100_000])
+@pytest.mark.parametrize('count', [2, 3, 1000])
 def test_masses_on_any_line_are_refused(count, offset):
     random = np.random.default_rng(12)
-    for _ in range(2 if count > 1000 else 50):
+    for _ in range(20):
         masses, positions = line(random, count, offset)
         for equal in (masses, np.full(count, 0.1)):
             with pytest.raises(ValueError, match='masses .* on one line'):
@@ -171,23 +146,13 @@ def test_masses_on_any_line_are_refused(count, offset):
 
 
 @pytest.mark.parametrize(('thickness', 'offset'), [(1e-3, 1e7), (1e-6, 1e3), (1e-6, 0.0)])
-@pytest.mark.parametrize('count', [4, 1000, 100_000])
+@pytest.mark.parametrize('count', [4, 100_000])
 def test_a_thin_rod_of_point_masses_is_a_body(count, thickness, offset):
     masses, positions = line(np.random.default_rng(13), count, offset, thickness)
     moments = RigidBody.from_point_masses(masses, positions).principal_moments
     arms = positions - np.average(positions, axis=0, weights=masses)
     expected = np.linalg.svd(np.sqrt(masses)[:, None] * arms, compute_uv=False)[1:]
     np.testing.assert_allclose(moments[0], expected @ expected, rtol=0.05)
-
-
-@pytest.mark.parametrize(('attitude', 'velocity', 'message'), [
-    ((0, 0, 0, 0), (0, 0, 0), 'attitude quaternion .*expected a non-zero'),
-    ((0, 0, np.nan, 1), (0, 0, 0), 'attitude quaternion .*nan'),
-    ((0, 0, 1), (0, 0, 0), 'attitude quaternion .*expected 4'),
-    ((0, 0, 0, 1), (0, np.inf, 0), 'angular velocity: .*inf')])
-def test_impossible_states_are_refused(attitude, velocity, message):
-    with pytest.raises(ValueError, match=message):
-        State(0, attitude, velocity)
 
 
 @pytest.mark.parametrize('attitude', [so3.normalize([0.1, -0.3, 0.2, 0.9]), (0.0, 0.0, 0.6, -0.8)])
@@ -198,22 +163,12 @@ def test_an_attitude_may_be_a_scipy_rotation(attitude):
     np.testing.assert_array_equal(state.angular_velocity, W)
 
 
-def test_several_rotations_are_refused():
-    with pytest.raises(ValueError, match='attitude quaternion .*expected 4 finite numbers'):
-        State(0, Rotation.from_quat(np.eye(4)[:3]))
-
-
 def test_a_body_and_a_state_are_printed_with_units():
     assert repr(RigidBody.from_moments(0.5, 1.0, 1.25)) \
         == 'RigidBody(asymmetric top, principal moments (0.5, 1, 1.25) kg m^2)'
     assert repr(State(7, (0, 0, 1, 0), (1e-6, 0.1234567, -2))) == (
         'State(time 7 ns, attitude xyzw (0, 0, 1, 0), '
         'angular velocity (1e-06, 0.123457, -2) rad/s)')
-
-
-def test_a_time_in_seconds_is_refused():
-    with pytest.raises(TypeError):
-        State(1767225600.5)
 
 
 def test_a_start_is_normalised_but_one_of_unit_length_is_left_alone():

@@ -18,7 +18,7 @@ from conftest import chord, EPOCH_NS, SECOND
 from mpmath import mp
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State
 from rigid_body_ros.kernels import state_layout
 from rigid_body_ros.mechanics import so3
 import truth
@@ -182,10 +182,3 @@ def test_what_rounding_took_from_the_start_counts():
     assert truth.chord(q, motion.attitude[0].tolist()) < 2e-15
 
 
-def test_exact_is_refused_where_a_torque_acts():
-    body, log = RigidBody(ASYMMETRIC), TorqueLog([0, 5], [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    found = r'found a torque of \[0.0, 1.0, 0.0\] N m at 5 ns \(sample 1\)'
-    with pytest.raises(ValueError, match=rf"'exact' handles torque-free motion only, {found}"):
-        propagate(body, State(), log, at=[9], solver='exact')
-    with pytest.raises(ValueError, match=r"'exact' handles torque-free motion only.* at 7 ns"):
-        Propagator(body, State(), solver='exact').apply(7, [1.0, 0.0, 0.0])

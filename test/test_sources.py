@@ -12,14 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Several sources of torque: their sum, any order of arrival, and absent terms."""
+"""Several sources of torque: their sum, and terms that are absent."""
 
 from conftest import chord, EPOCH_NS, SECOND
-from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
-import terms
+from terms import numbers
 
 FULL = [[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]]
 DAMPING = [[0.3, 0.05, 0.0], [0.05, 0.2, -0.02], [0.0, -0.02, 0.1]]
@@ -27,9 +26,7 @@ PLAIN = RigidBody(FULL)
 START = State(EPOCH_NS, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
 LOADED = State(EPOCH_NS, START.attitude, START.angular_velocity, (0.2, 0.4, -0.3))
 EMPTY = TorqueLog([], [])
-HISTORY = 1.0
 STEPS = {'auto': None, 'taylor': None, 'rk4': 0.01, 'strang': 0.01, 'explicit_euler': 0.001}
-LINEAR_SOLVERS = ['auto', 'taylor', 'rk4', 'explicit_euler']
 
 
 def random_log(random, count=15, seconds=4.0, frame=None):
@@ -40,91 +37,6 @@ def random_log(random, count=15, seconds=4.0, frame=None):
         torques[row] = torques[row - 1]
     frames = np.where(random.random(count) > 0.5, 'space', 'body').tolist()
     return TorqueLog(EPOCH_NS - SECOND // 2 + np.sort(offsets), torques, frame or frames)
-
-
-def scene(seed):
-    """Return a body, a start, three logs and a log of wheels; some of the terms are absent."""
-    random = np.random.default_rng(seed)
-    body = RigidBody(FULL, DAMPING if seed % 2 else None)
-    start = LOADED if seed % 3 else START
-    # The sum of three such torques is rounded, so their order matters.
-    logs = [log.with_torques(0.1 * log.torques) for log in (
-        random_log(random, frame=frame) for frame in ('body', 'space', None, 'body'))]
-    return body, start, logs[:3], logs[3] if seed % 5 else EMPTY
-
-
-def common_stamps(random, logs, wheels):
-    """Return the logs; the others get some stamps of the first."""
-    shared = random.choice(logs[0].times_ns, 4, replace=False)
-    return [TorqueLog(np.append(log.times_ns, shared), np.vstack([log.torques, log.torques[:4]]),
-                      np.append(log.in_space, log.in_space[:4])) if len(log) else log
-            for log in (*logs, wheels)]
-
-
-@pytest.mark.slow
-@settings(max_examples=40)
-@given(seed=strategies.integers(0, 2 ** 32 - 1), timeout=strategies.sampled_from([0.0, 0.03, 0.4]))
-def test_any_order_of_arrival_gives_the_states_of_the_logs(seed, timeout):
-    random = np.random.default_rng(seed)
-    body, start, logs, wheels = scene(seed)
-    *logs, wheels = common_stamps(random, logs, wheels)
-    samples = terms.arrivals(logs, wheels)
-    after = np.unique([sample[0] for sample in samples if sample[0] >= EPOCH_NS])
-    motion = propagate(body, start, logs, at=after, wheels=wheels, torque_timeout=timeout)
-    propagator = Propagator(body, start, torque_timeout=timeout, history=HISTORY)
-    newest, states = EPOCH_NS, {}
-    due = [sample[0] + random.integers(0, int(HISTORY * SECOND)) for sample in samples]
-    for row in np.argsort(due, kind='stable'):
-        newest = max(newest, samples[row][0])
-        for stamp in after[after <= newest - int(HISTORY * SECOND)].tolist():
-            if stamp not in states:  # no later sample can change this state
-                states[stamp] = propagator.at(stamp)
-        assert terms.apply(propagator, samples[row])
-        for asked in newest + random.integers(-SECOND, SECOND, random.integers(0, 3)):
-            propagator.at(max(int(asked), propagator.earliest_ns))
-    for row, stamp in enumerate(after.tolist()):
-        state = states.get(stamp) or propagator.at(stamp)
-        np.testing.assert_array_equal(terms.numbers(state), terms.numbers(motion)[row])
-
-
-@pytest.mark.slow
-@settings(max_examples=40)
-@given(seed=strategies.integers(0, 2 ** 32 - 1), timeout=strategies.sampled_from([0.0, 0.05, 5.0]),
-       solver=strategies.sampled_from(LINEAR_SOLVERS))
-def test_a_run_restarted_at_any_time_continues_bit_for_bit(seed, timeout, solver):
-    random = np.random.default_rng(seed)
-    body, start, logs, wheels = scene(seed)
-    options = {'solver': solver, 'torque_timeout': timeout, 'max_step': STEPS[solver]}
-    whole = Propagator(body, start, history=100.0, **options)
-    for sample in terms.arrivals(logs, wheels):
-        assert terms.apply(whole, sample)
-    times = EPOCH_NS + random.integers(0, 6 * SECOND, 20)
-    motion = propagate(body, start, logs, at=times, wheels=wheels, **options)
-    middle = whole.at(int(np.sort(times)[random.integers(0, 20)]))
-    for _ in range(random.integers(0, 2)):  # a restarted motion may be restarted again
-        middle = whole.at(int(middle.time_ns + random.integers(0, SECOND)))
-    later = times >= middle.time_ns
-    replayed = propagate(body, middle, logs, at=times[later], wheels=wheels, **options)
-    np.testing.assert_array_equal(terms.numbers(replayed), terms.numbers(motion)[later])
-    resumed = Propagator(body, middle, history=100.0, **options)
-    for sample in terms.arrivals(logs, wheels):
-        assert terms.apply(resumed, sample)
-    for row in np.flatnonzero(later):
-        for propagator in (whole, resumed):
-            np.testing.assert_array_equal(terms.numbers(propagator.at(int(times[row]))),
-                                          terms.numbers(motion)[row])
-
-
-@pytest.mark.parametrize('name', ['two_sources_two_frames', 'wheels_slew', 'damped_tumble'])
-def test_sources_in_random_order_give_the_motion_of_the_logs(name):
-    reference, random = terms.Reference(name), np.random.default_rng(7)
-    samples = terms.arrivals(reference.logs, reference.wheels)
-    span = (max(sample[0] for sample in samples) - reference.start.time_ns) / 1e9
-    propagator = Propagator(reference.body, reference.start, history=span + 1.0)
-    for row in random.permutation(len(samples)):
-        assert terms.apply(propagator, samples[row])
-    found = [terms.numbers(propagator.at(int(time_ns))) for time_ns in reference.times_ns]
-    np.testing.assert_array_equal(found, terms.numbers(reference.propagate(reference.times_ns)))
 
 
 def coasting_log(seed, frame='body'):
@@ -163,21 +75,20 @@ ABSENT = {
 }
 
 
-@pytest.mark.parametrize('timeout', [0.0, 0.1])
-@pytest.mark.parametrize('frame', ['body', 'space'])
+@pytest.mark.parametrize(('frame', 'timeout'), [('body', 0.0), ('space', 0.1)])
 @pytest.mark.parametrize('written', ABSENT)
 def test_an_absent_term_changes_no_bit(written, frame, timeout):
     log = coasting_log(11, frame)
     body, start, logs, wheels = ABSENT[written](log)
     # In a coast, the closed form is used from some length on.
-    times = EPOCH_NS + np.concatenate([np.arange(0, 6000, 77) * SECOND // 1000,
+    times = EPOCH_NS + np.concatenate([np.arange(0, 6000, 99) * SECOND // 1000,
                                        np.arange(6, 700, 37) * SECOND])
     for solver, max_step in STEPS.items():
         options = {'solver': solver, 'max_step': max_step, 'torque_timeout': timeout}
-        at = times[:60] if max_step else times
+        at = times[:40] if max_step else times
         plain = propagate(PLAIN, START, log, at=at, **options)
         motion = propagate(body, start, logs, at=at, wheels=wheels, **options)
-        np.testing.assert_array_equal(terms.numbers(motion), terms.numbers(plain))
+        np.testing.assert_array_equal(numbers(motion), numbers(plain))
         np.testing.assert_array_equal(motion.angular_momentum_space, plain.angular_momentum_space)
     plain = propagate(PLAIN, START, log, at=times, torque_timeout=timeout)
     motion = propagate(body, start, logs, at=times, wheels=wheels, torque_timeout=timeout)
@@ -185,8 +96,7 @@ def test_an_absent_term_changes_no_bit(written, frame, timeout):
     assert 'exact' in {model.solver for model in plain.models}
 
 
-@pytest.mark.parametrize('interpolation', ['linear', 'cubic'])
-@pytest.mark.parametrize('frame', ['body', 'space'])
+@pytest.mark.parametrize(('frame', 'interpolation'), [('body', 'linear'), ('space', 'cubic')])
 def test_an_absent_term_changes_no_bit_between_samples(frame, interpolation):
     held = random_log(np.random.default_rng(12), frame=frame)
     log = TorqueLog(held.times_ns, held.torques, frame, interpolation)
@@ -194,15 +104,13 @@ def test_an_absent_term_changes_no_bit_between_samples(frame, interpolation):
     plain = propagate(PLAIN, START, log, at=times)
     for logs, wheels in (([log, EMPTY], None), ([log], EMPTY)):
         motion = propagate(PLAIN, START, logs, at=times, wheels=wheels)
-        np.testing.assert_array_equal(terms.numbers(motion), terms.numbers(plain))
+        np.testing.assert_array_equal(numbers(motion), numbers(plain))
 
 
-@pytest.mark.parametrize('solver', ['auto', 'taylor', 'rk4'])
-def test_an_absent_term_changes_no_bit_of_a_propagator(solver):
+def test_an_absent_term_changes_no_bit_of_a_propagator():
     log = coasting_log(13)
-    options = {'solver': solver, 'max_step': STEPS[solver], 'history': 1000.0}
-    plain = Propagator(PLAIN, START, **options)
-    other = Propagator(RigidBody(FULL, np.zeros((3, 3))), START, **options)
+    plain = Propagator(PLAIN, START, history=1000.0)
+    other = Propagator(RigidBody(FULL, np.zeros((3, 3))), START, history=1000.0)
     for row, time_ns in enumerate(log.times_ns):
         plain.apply(time_ns, log.torques[row])
         other.apply(time_ns, log.torques[row] / 2, source=3)
@@ -210,12 +118,12 @@ def test_an_absent_term_changes_no_bit_of_a_propagator(solver):
         other.apply(time_ns, [0.0, 0.0, 0.0], 'space', source=2)
         other.apply_wheels(time_ns, [0.0, 0.0, 0.0])
     for time_ns in EPOCH_NS + np.arange(0, 20000, 777) * SECOND // 1000:
-        np.testing.assert_array_equal(terms.numbers(other.at(time_ns)),
-                                      terms.numbers(plain.at(time_ns)))
+        np.testing.assert_array_equal(numbers(other.at(time_ns)),
+                                      numbers(plain.at(time_ns)))
 
 
 @pytest.mark.parametrize('count', [5, 1], ids=['changing', 'constant'])
-@pytest.mark.parametrize('offset', [0, SECOND // 2, 7 * SECOND // 2])
+@pytest.mark.parametrize('offset', [0, 7 * SECOND // 2])
 @pytest.mark.parametrize('frames', [('body', 'space'), ('body', 'body'), ('space', 'space')])
 def test_sources_with_the_same_stamps_add_up_as_any_others_do(frames, offset, count):
     # A sample after the end gives one source a further stamp.
@@ -232,7 +140,7 @@ def test_sources_with_the_same_stamps_add_up_as_any_others_do(frames, offset, co
         for sources in ([one, two], [two, one]):
             found, expected = (propagate(PLAIN, start, logs, at=at, wheels=wheels) for logs in (
                 sources, [other if log is two else log for log in sources]))
-            np.testing.assert_array_equal(terms.numbers(found), terms.numbers(expected))
+            np.testing.assert_array_equal(numbers(found), numbers(expected))
 
 
 def test_each_source_times_out_on_its_own():
@@ -305,7 +213,7 @@ def test_zero_torques_in_space_axes_do_not_stop_a_damped_body():
     body, zeros = RigidBody(FULL, DAMPING), np.zeros((20, 3))
     found, expected = (propagate(body, START, TorqueLog(times, zeros, frame), at=times)
                        for frame in ('space', 'body'))
-    np.testing.assert_array_equal(terms.numbers(found), terms.numbers(expected))
+    np.testing.assert_array_equal(numbers(found), numbers(expected))
 
 
 def test_a_coast_before_the_rotors_turn_is_in_closed_form():

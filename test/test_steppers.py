@@ -18,7 +18,7 @@ from conftest import chord, SECOND
 from known import lost_momentum, ODE_LOSSES
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros import GravityGradient, propagate, RigidBody, State, TorqueLog, UniformField
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.options import solver_named
 
@@ -27,13 +27,25 @@ START = State(0, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
 END = 5 * SECOND
 STAMPS = np.arange(6) * SECOND
 TORQUES = np.random.default_rng(1).normal(scale=0.4, size=(6, 3))
-LOGS = {
-    'free': None,
-    'body torque': TorqueLog(STAMPS, TORQUES),
-    'space torque': TorqueLog(STAMPS, TORQUES, 'space'),
-    'cubic body torque': TorqueLog(STAMPS, TORQUES, interpolation='cubic'),
-    'cubic space torque': TorqueLog(STAMPS, TORQUES, 'space', 'cubic'),
+FIELDS = [UniformField((0.1, -0.2, 0.3), (0.4, -0.2, -2.5)),
+          GravityGradient(0.4, (1.0, 2.0, 3.0), (3.0, 0.0, -1.0))]
+LOGS = [TorqueLog(STAMPS, TORQUES, interpolation='linear'),
+        TorqueLog(STAMPS + SECOND // 2, TORQUES[::-1], 'space', 'cubic')]
+SCENES = {
+    'free': {},
+    'body torque': {'log': TorqueLog(STAMPS, TORQUES)},
+    'space torque': {'log': TorqueLog(STAMPS, TORQUES, 'space')},
+    'cubic body torque': {'log': TorqueLog(STAMPS, TORQUES, interpolation='cubic')},
+    'torques in two frames': {'log': LOGS},
+    'fields': {'fields': FIELDS, 'log': TorqueLog(STAMPS, TORQUES)},
 }
+#: Scenes with terms that `strang` does not take.
+MORE = {
+    'rotors and damping': {
+        'log': LOGS, 'wheels': TorqueLog(STAMPS, TORQUES),
+        'body': RigidBody(BODY.inertia, np.diag([0.3, 0.2, 0.1])),
+        'start': State(0, START.attitude, START.angular_velocity, (0.2, 0.4, -0.3))}}
+MORE['everything'] = {**MORE['rotors and damping'], 'fields': FIELDS}
 #: The order of each solver, and its steps: a second divided by powers of two, in whole
 #: nanoseconds, and coarse enough for errors far above rounding.
 LADDERS = {'explicit_euler': (1, 2.0 ** -np.arange(5, 10)),
@@ -42,8 +54,9 @@ LADDERS = {'explicit_euler': (1, 2.0 ** -np.arange(5, 10)),
 SOLVERS = list(LADDERS)
 
 
-def moved(solver, step, log=None, at=(END,), body=BODY):
-    return propagate(body, START, log, at=at, solver=solver, max_step=step)
+def moved(solver, step, at=(END,), **scene):
+    return propagate(**{'body': BODY, 'start': START, **scene}, at=at, solver=solver,
+                     max_step=step)
 
 
 def slope(steps, errors):
@@ -58,13 +71,14 @@ def drift(values):
     return np.linalg.norm(apart, axis=1).max() / np.linalg.norm(values[0])
 
 
-@pytest.mark.parametrize('scene', LOGS)
-@pytest.mark.parametrize('solver', SOLVERS)
+@pytest.mark.parametrize(('solver', 'scene'), [
+    (solver, name) for solver in SOLVERS for name in {**SCENES, **MORE}
+    if solver != 'strang' or name in SCENES])
 def test_the_order_is_the_one_promised(solver, scene):
-    order, steps = LADDERS[solver]
+    (order, steps), given = LADDERS[solver], {**SCENES, **MORE}[scene]
     assert solver_named(solver).order == order
-    truth = propagate(BODY, START, LOGS[scene], at=[END], solver='taylor')
-    motions = [moved(solver, step, LOGS[scene]) for step in steps]
+    truth = moved('taylor', None, **given)
+    motions = [moved(solver, step, **given) for step in steps]
     attitude = [chord(truth.attitude, motion.attitude)[0] for motion in motions]
     rates = [np.linalg.norm(motion.angular_velocity - truth.angular_velocity)
              for motion in motions]
@@ -74,14 +88,13 @@ def test_the_order_is_the_one_promised(solver, scene):
         assert correlation > 0.999
 
 
-@pytest.mark.parametrize('interpolation', ['linear', 'cubic'])
 @pytest.mark.parametrize('solver', SOLVERS)
-def test_no_torque_acts_on_a_turned_rod_after_the_timeout(solver, interpolation):
+def test_no_torque_acts_on_a_turned_rod_after_the_timeout(solver):
     # For a rod, the kernels also use the rounding errors of the coefficients of the torque.
     axis = so3.normalize([0.3, -0.1, 0.7])
     body = RigidBody(np.eye(3) - (1.0 - 1e-6) * np.outer(axis, axis))
     across = TORQUES - np.outer(TORQUES @ axis, axis)
-    log = TorqueLog(STAMPS, across, interpolation=interpolation)
+    log = TorqueLog(STAMPS, across, interpolation='cubic')
     options = {'solver': solver, 'max_step': 1e-3}
     times = [3 * SECOND + SECOND // 2, 4 * SECOND - 1]
     motion = propagate(body, START, log, at=times, torque_timeout=0.5, **options)
@@ -93,7 +106,7 @@ def test_no_torque_acts_on_a_turned_rod_after_the_timeout(solver, interpolation)
 
 @pytest.mark.parametrize('solver', SOLVERS)
 def test_every_attitude_is_of_unit_length(solver):
-    motion = moved(solver, 0.01, LOGS['space torque'], np.arange(0, 20) * SECOND // 2)
+    motion = moved(solver, 0.01, np.arange(0, 20) * SECOND // 2, **SCENES['space torque'])
     assert np.abs(np.linalg.norm(motion.attitude, axis=1) - 1.0).max() < 1e-15
 
 
@@ -139,13 +152,13 @@ def test_strang_keeps_the_momentum_in_space_and_bounds_the_energy(body):
     assert 1e-5 < error.max() < 1.01 * error[:1000].max()
 
 
-@pytest.mark.parametrize('step', [0.5, 5.0, 50.0, 1e3, 1e6])
+@pytest.mark.parametrize('step', [0.5, 50.0, 1e6])
 @pytest.mark.parametrize('scene', ['free', 'body torque', 'space torque'])
 @pytest.mark.parametrize('solver', SOLVERS)
 def test_a_step_too_long_gives_numbers_or_is_refused(solver, scene, step):
     times = np.linspace(0, 50 * max(step, 4.0), 80) * SECOND
     try:
-        motion = moved(solver, step, LOGS[scene], times.astype(np.int64))
+        motion = moved(solver, step, times.astype(np.int64), **SCENES[scene])
     except ValueError as error:
         assert f'steps of {step:g} s may be too long for {solver}' in str(error)
     else:

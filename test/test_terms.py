@@ -12,49 +12,30 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Rotors, damping and torques in two frames: accuracy, conservation and known motions."""
+"""Rotors and damping: conserved quantities and known motions."""
 
 from conftest import chord, SECOND
 from mpmath import mp
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import so3
 import terms
-from test_steppers import LADDERS, slope
 import truth
 
 FULL = [[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]]
 DAMPING = np.array([[0.3, 0.05, 0.0], [0.05, 0.2, -0.02], [0.0, -0.02, 0.1]])
-BODY = RigidBody(FULL, DAMPING)
 START = State(0, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9), (0.2, 0.4, -0.3))
-STAMPS = np.arange(6) * SECOND
-TORQUES = np.random.default_rng(1).normal(scale=0.4, size=(3, 6, 3))
 
 
 def largest(vectors):
     return np.linalg.norm(vectors.astype(float), axis=1).max()
 
 
-def relative(found, expected):
-    """Return errors relative to the largest expected vector; zero vectors must be exact."""
-    return np.linalg.norm((found - expected).astype(float), axis=1) / (largest(expected) or 1.0)
-
-
-@pytest.mark.parametrize('name', terms.NAMES)
-def test_every_motion_is_the_one_of_fifty_digits(name, fifty_digits):
-    scene = terms.Reference(name)
-    motion = scene.propagate(scene.times_ns)
-    attitude = [truth.chord(*pair) for pair in zip(scene.truth('q'), motion.attitude)]
-    assert np.all(attitude <= scene.bound)
-    for found, key in ((motion.angular_velocity, 'w'), (motion.angular_momentum_space, 'L_space'),
-                       (motion.rotor_momentum, 'rotor_momentum')):
-        assert np.all(relative(truth.exact(found), scene.truth(key)) <= scene.bound)
-
-
-@pytest.mark.parametrize(('step_ms', 'tolerance'), [(1, 1e-15), (10, 1e-12), (30, 1e-9)])
-@pytest.mark.parametrize('tensor', [np.diag([1.0, 2.0, 2.5]), FULL, np.diag([1.0, 1.0, 0.02])])
-def test_torques_that_repeat_give_the_motion_of_held_ones(tensor, step_ms, tolerance):
+@pytest.mark.parametrize(('step_ms', 'tolerance', 'tensor'), [
+    (1, 1e-15, FULL), (1, 1e-15, np.diag([1.0, 2.0, 2.5])), (10, 1e-12, np.diag([1.0, 1.0, 0.02])),
+    (30, 1e-9, FULL)])
+def test_torques_that_repeat_give_the_motion_of_held_ones(step_ms, tolerance, tensor):
     # Compare short steps from stamp to stamp with long steps of the series.
     stamps, at = np.arange(0, 3 * SECOND, step_ms * SECOND // 1000), np.arange(1, 4) * SECOND
     torques = np.array([[0.03, -0.02, 0.004], [-0.02, 0.03, 0.005], [0.01, 0.02, -0.003]])
@@ -82,7 +63,7 @@ def test_wheels_alone_keep_the_total_momentum_in_space():
     assert np.all(apart <= terms.bound(motion))
 
 
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('seed', range(2))
 def test_the_energy_of_a_gyrostat_does_not_drift(seed):
     # Without the low-order part of J^-1 in the linear terms, the energy changes by at least
     # 1.6e-13.
@@ -114,7 +95,7 @@ def test_the_rates_of_a_symmetric_gyrostat_turn_at_a_constant_rate(across, along
     rate = ((along - across) * spin + rotors) / across
     expected = [mp.mpc(0.5, -0.25) * mp.expj(rate * k) for k in range(101)]
     expected = np.array([(float(z.real), float(z.imag), spin) for z in expected])
-    assert np.all(relative(motion.angular_velocity, expected) <= terms.bound(motion))
+    assert np.all(terms.relative(motion.angular_velocity, expected) <= terms.bound(motion))
 
 
 def damped_turn(damping, inertia, rate, torque, seconds):
@@ -141,7 +122,7 @@ def test_a_damped_sphere_slows_down_about_a_fixed_axis(fifty_digits):
         assert np.linalg.norm(error.astype(float)) <= 1e-15 * (10.0 + float(angle)) * float(speed)
 
 
-@pytest.mark.parametrize('per_second', [50.0, 500.0, 5000.0])
+@pytest.mark.parametrize('per_second', [50.0, 5000.0])
 def test_strong_damping_reaches_the_terminal_velocity(per_second, fifty_digits):
     # The motion about one principal axis is known; it is compared during and after the decay.
     inertia, torque = 2.5, 3.0 * 2.5 * per_second
@@ -158,7 +139,7 @@ def test_strong_damping_reaches_the_terminal_velocity(per_second, fifty_digits):
     assert motion.angular_velocity[-1, 2] == pytest.approx(3.0, rel=1e-14)
 
 
-@pytest.mark.parametrize('per_second', [50.0, 500.0, 5000.0])
+@pytest.mark.parametrize('per_second', [50.0, 5000.0])
 def test_strong_damping_of_a_full_tensor_does_not_blow_up(per_second):
     body = RigidBody(FULL, per_second * DAMPING)
     torque = np.array([30.0, -20.0, 10.0])
@@ -172,7 +153,7 @@ def test_strong_damping_of_a_full_tensor_does_not_blow_up(per_second):
     assert np.abs(np.linalg.norm(motion.attitude, axis=1) - 1.0).max() < 1e-15
 
 
-@pytest.mark.parametrize('rotors', [0.9, 0.99, -0.9, 1.01, 1.1, -1.1, 3.0])
+@pytest.mark.parametrize('rotors', [0.9, -0.9, 0.99, 1.01, -1.1, 3.0])
 def test_a_fast_rotor_stabilises_the_intermediate_axis(rotors):
     # Dual spin (Schaub and Junkins, Analytical Mechanics of Space Systems, chapter 4): a spin W
     # about axis 2 is stable if k = (I2 - I1 + h / W) (I2 - I3 + h / W) W^2 / (I1 I3) > 0, or for
@@ -190,98 +171,3 @@ def test_a_fast_rotor_stabilises_the_intermediate_axis(rotors):
     assert (np.abs(motion.angular_velocity[:, 0]).max() > 1e-6) == (abs(rotors) < 1.0)
 
 
-def everything(at, **options):
-    """Return a motion with all terms at once, and a different interpolation for each source."""
-    logs = [TorqueLog(STAMPS, TORQUES[0], interpolation='linear'),
-            TorqueLog(STAMPS + SECOND // 2, TORQUES[1], 'space', 'cubic')]
-    return propagate(BODY, START, logs, at=at, wheels=TorqueLog(STAMPS, TORQUES[2]), **options)
-
-
-def assert_order(order, solver, steps, run):
-    exact = run(solver='taylor')
-    motions = [run(solver=solver, max_step=step) for step in steps]
-    for errors in ([chord(exact.attitude, motion.attitude)[0] for motion in motions],
-                   [largest(motion.angular_velocity - exact.angular_velocity)
-                    for motion in motions]):
-        found, correlation = slope(steps, errors)
-        assert abs(found - order) < 0.2
-        assert correlation > 0.999
-
-
-@pytest.mark.parametrize('solver', ['rk4', 'explicit_euler'])
-def test_the_order_with_all_terms_is_the_one_promised(solver):
-    order, steps = LADDERS[solver]
-    assert_order(order, solver, steps, lambda **options: everything([5 * SECOND], **options))
-
-
-def test_strang_takes_torques_in_two_frames_to_second_order():
-    logs = [TorqueLog(STAMPS, TORQUES[0]), TorqueLog(STAMPS, TORQUES[1], 'space', 'cubic')]
-    assert_order(2, 'strang', LADDERS['strang'][1], lambda **options: propagate(
-        RigidBody(FULL), State(0, START.attitude, START.angular_velocity), logs,
-        at=[5 * SECOND], **options))
-
-
-@pytest.mark.parametrize('solver', ['strang', 'exact'])
-@pytest.mark.parametrize(('damping', 'rotors', 'found'), [
-    (DAMPING, (0, 0, 0), 'damping'), (None, (0, 0, 1), 'rotors'), (DAMPING, (0, 0, 1), 'damping')])
-def test_a_solver_without_these_terms_rejects_them(solver, damping, rotors, found):
-    body, start = RigidBody(FULL, damping), State(rotor_momentum=rotors)
-    message = f'^solver {solver!r} handles neither rotors nor damping, found {found}$'
-    with pytest.raises(ValueError, match=message):
-        propagate(body, start, at=[1], solver=solver, max_step=0.1)
-    with pytest.raises(ValueError, match=message):
-        Propagator(body, start, solver=solver, max_step=0.1)
-
-
-@pytest.mark.parametrize('solver', ['strang', 'exact'])
-def test_a_solver_without_rotors_rejects_a_torque_on_them(solver):
-    with pytest.raises(ValueError, match=f'^solver {solver!r} handles .*$'):
-        propagate(RigidBody(FULL), State(), at=[1], solver=solver, max_step=0.1,
-                  wheels=TorqueLog([0], [[0.0, 0.0, 1.0]]))
-    propagator = Propagator(RigidBody(FULL), State(), solver=solver, max_step=0.1)
-    with pytest.raises(ValueError, match=f'^solver {solver!r} handles .*$'):
-        propagator.apply_wheels(0, [0.0, 0.0, 1.0])
-
-
-@pytest.mark.parametrize(('damping', 'message'), [
-    (np.eye(2), r'damping: expected 3 by 3 finite numbers, found \[\[1.0, 0.0\], \[0.0, 1.0\]\]'),
-    (np.diag([1.0, np.nan, 0.0]), 'damping: expected 3 by 3 finite numbers, found .*nan.*'),
-    (np.triu(np.ones((3, 3))), 'damping: expected a symmetric tensor, found .*'),
-    (np.diag([1.0, -0.5, 2.0]), 'damping: expected a tensor without negative eigenvalues, found '
-                                '.* with the eigenvalue -0.5 N m s/rad'),
-    (1e12 * np.eye(3), r'damping: expected quotients by the moments of inertia of at most 1e\+09 '
-                       r'1/s, found .*e\+\d\d 1/s'),
-])
-def test_impossible_damping_is_rejected(damping, message):
-    with pytest.raises(ValueError, match=f'^{message}$'):
-        RigidBody(FULL, damping)
-
-
-@pytest.mark.parametrize('rotors', [(0.0, np.inf, 0.0), (0.0, 1.0), 1.0])
-def test_impossible_rotor_momentum_is_rejected(rotors):
-    with pytest.raises(ValueError, match='^rotor momentum: expected 3 finite numbers, found .*$'):
-        State(rotor_momentum=rotors)
-
-
-def test_a_torque_on_the_rotors_in_space_axes_is_rejected():
-    wheels = TorqueLog([0, 5], np.ones((2, 3)), ['body', 'space'])
-    with pytest.raises(ValueError, match='^wheels: expected torques in body axes, found torques '
-                                         'in space axes$'):
-        propagate(RigidBody(FULL), State(), at=[1], wheels=wheels)
-
-
-@pytest.mark.parametrize(('torque', 'message'), [
-    ([0.0, np.nan, 0.0], r'torque at 3 ns: expected 3 finite numbers, found \[0.0, nan, 0.0\]'),
-    ([0.0, 1.0], r'torque at 3 ns: expected 3 finite numbers, found \[0.0, 1.0\]'),
-])
-def test_a_propagator_rejects_an_impossible_torque_on_the_rotors(torque, message):
-    propagator = Propagator(RigidBody(FULL), State())
-    with pytest.raises(ValueError, match=f'^{message}$'):
-        propagator.apply_wheels(3, torque)
-    np.testing.assert_array_equal(propagator.at(9).rotor_momentum, [0.0, 0.0, 0.0])
-
-
-@pytest.mark.parametrize('source', [-1, 2 ** 63 - 1])
-def test_a_source_out_of_range_is_rejected(source):
-    with pytest.raises(ValueError, match=f'^source: expected .*, found {source}$'):
-        Propagator(RigidBody(FULL), State()).apply(0, [0.0, 0.0, 1.0], source=source)

@@ -12,34 +12,29 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Named wheels: exact to rounding, with the same bits in any order of arrival."""
+"""Named wheels: what they conserve, friction, largest speeds, commands, and scenes."""
 
 from dataclasses import replace
-from itertools import product
+import json
 import re
 
+from conftest import ROOT
 import numpy as np
-import pyarrow.parquet as pq
+from numpy.testing import assert_array_equal
 import pytest
 from rigid_body_ros import (
     BodyLog,
     EffortLog,
-    GravityGradient,
     messages,
     Problem,
     propagate,
-    propagate_many,
     Propagator,
-    RigidBodies,
     RigidBody,
     so3,
     State,
-    States,
     TorqueLog,
-    UniformField,
     Wheel,
 )
-from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.runs import Ensemble
@@ -48,15 +43,17 @@ from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.events import IMPOSSIBLE, RejectedError
 from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.run import Run
-from rigid_body_ros.propagation import Integration
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.propagation.sources import BODY as SOURCE
 from rigid_body_ros.propagation.sources import COMMANDS
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.scene import Scene
-import terms
+from terms import numbers
 
 SECOND = 10 ** 9
+TRUTH = json.loads((ROOT / 'test' / 'truth_limits.json').read_text())
+#: Spans that are shorter, s, are those of a wheel that touches its limit within rounding.
+TOUCH = 1e-6
 BODY = RigidBody([[2.0, 0.1, -0.2], [0.1, 3.0, 0.05], [-0.2, 0.05, 4.0]])
 SMALLER = RigidBody.from_moments(1.5, 2.2, 2.6, 0.05, -0.1)
 DAMPED = RigidBody(BODY.inertia, damping=np.diag([0.01, 0.02, 0.03]))
@@ -71,84 +68,20 @@ SLOWED = [replace(wheel, friction=friction)
           for wheel, friction in zip(LIMITED, (0.02, 0.05, 0.0, 0.01))]
 
 
-def same(one, other):
-    """Return whether two motions have the same bits."""
-    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in (
-        'attitude', 'angular_velocity', 'rotor_momentum', 'wheel_speeds'))
-
-
-def commands(rng, count=40, wheels=4):
+def commands(rng, count=40):
     """Return efforts at irregular stamps, some before the start; a third of them are missing."""
     stamps = np.sort(rng.integers(-SECOND // 4, 3 * SECOND, count))
-    efforts = rng.normal(0.0, 0.4, (count, wheels))
+    efforts = rng.normal(0.0, 0.4, (count, 4))
     efforts[rng.random(efforts.shape) < 0.3] = np.nan
     return EffortLog(stamps, efforts)
 
 
-def arrivals(log, wheels=PYRAMID):
-    """Return the calls that apply a log."""
-    return [('apply_efforts', int(stamp), {wheel.name: effort for wheel, effort in zip(
-        wheels, row) if effort == effort}) for stamp, row in zip(log.times_ns, log.efforts)]
-
-
-@pytest.mark.parametrize('name', ['wheels_spin_up', 'wheels_friction'])
-def test_motions_agree_with_fifty_digits(name, fifty_digits):
-    body, start, values = terms.reference(name)
-    rows, logs = values['efforts_t_ns_each'], [
-        TorqueLog([row[0] for row in source['t_ns_x_y_z']],
-                  [row[1:] for row in source['t_ns_x_y_z']], source['frame'])
-        for source in values.get('sources', ())]
-    terms.assert_agrees(Problem(
-        body, start, logs, wheels=[Wheel(**wheel) for wheel in values['wheels']],
-        efforts=EffortLog([row[0] for row in rows], [row[1:] for row in rows])), values)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(('solver', 'wheels'), [
-    *product(['auto', 'taylor', 'rk4', 'explicit_euler'], [PYRAMID]),
-    *product(['auto', 'taylor'], [LIMITED, SLOWED])])
-@pytest.mark.parametrize('keep', ['rate', 'momentum'])
-def test_any_order_of_arrival_gives_the_same_bits(keep, solver, wheels):
-    rng = np.random.default_rng(38)
-    efforts, options = commands(rng), {
-        'solver': solver, 'max_step': None if solver in ('auto', 'taylor') else 0.01,
-        'fields': [UniformField((0.0, 0.1, -0.4), (0.0, 0.0, -9.81))], 'torque_timeout': 0.12}
-    stamps = np.arange(20) * 150_000_000
-    logs = [TorqueLog(stamps, rng.normal(size=(20, 3))),
-            TorqueLog(stamps[::3] + 12_345, rng.normal(size=(7, 3)), frame='space')]
-    changes = BodyLog([stamps[7], int(efforts.times_ns[21]), 2_345_678_901],
-                      [SMALLER, DAMPED, BODY], keep)
-    start = replace(START, rotor_momentum=(0.2, -0.1, 0.4))
-    at = np.sort(np.concatenate([rng.integers(0, 3 * SECOND, 40), changes.times_ns,
-                                 efforts.times_ns[efforts.times_ns >= 0]]))
-    expected = propagate(BODY, start, logs, at=at, wheels=wheels, efforts=efforts,
-                         changes=changes, **options)
-    events = [('apply', int(stamp), torque, 'space' if in_space else 'body', source)
-              for source, log in enumerate(logs)
-              for stamp, torque, in_space in zip(log.times_ns, log.torques, log.in_space)]
-    events += arrivals(efforts)
-    events += [('apply_body', int(stamp), body, keep)
-               for stamp, body in zip(changes.times_ns, changes.bodies)]
-    for _ in range(3):
-        propagator = Propagator(BODY, start, history=10.0, wheels=wheels, **options)
-        for number in rng.permutation(len(events)):
-            name, *values = events[number]
-            assert getattr(propagator, name)(*values)
-            if not number % 7:
-                propagator.at(int(rng.integers(0, 3 * SECOND)))  # a prediction changes no bit
-        for row, time_ns in enumerate(at.tolist()):
-            state = propagator.at(time_ns)
-            assert np.array_equal(state.attitude, expected.attitude[row])
-            assert np.array_equal(state.angular_velocity, expected.angular_velocity[row])
-            assert np.array_equal(state.rotor_momentum, expected.rotor_momentum[row])
-            assert np.array_equal(state.wheel_speeds, expected.wheel_speeds[row])
-
-
-@pytest.mark.parametrize('wheels', [PYRAMID, SLOWED])
+@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED, SLOWED])
 def test_momentum_in_space_is_constant_with_wheels_alone(wheels):
-    motion = propagate(BODY, START, at=np.arange(0, 100 * SECOND, 10 ** 8), wheels=wheels,
+    motion = propagate(BODY, START, at=np.arange(0, 100 * SECOND, 10 ** 9), wheels=wheels,
                        efforts=EffortLog(np.arange(100) * SECOND, 0.3 * np.random.default_rng(
                            1).normal(size=(100, 4))))
+    assert bool(motion.at_limit) == (wheels is not PYRAMID)
     momentum = motion.angular_momentum_space
     largest = np.linalg.norm(motion.rotor_momentum, axis=1).max()
     assert np.abs(momentum - momentum[0]).max() < 4e-15 * largest
@@ -197,7 +130,8 @@ def test_no_friction_changes_no_bit_and_a_little_is_close():
     efforts, at = commands(np.random.default_rng(11)), np.arange(0, 4 * SECOND, SECOND // 7)
     without = propagate(BODY, START, at=at, wheels=LIMITED, efforts=efforts)
     none = [replace(wheel, friction=0.0) for wheel in SLOWED]
-    assert same(propagate(BODY, START, at=at, wheels=none, efforts=efforts), without)
+    found = propagate(BODY, START, at=at, wheels=none, efforts=efforts)
+    assert_array_equal(numbers(found), numbers(without))
     little = [replace(wheel, friction=1e-18) for wheel in LIMITED]
     found = propagate(BODY, START, at=at, wheels=little, efforts=efforts)
     assert abs(found.attitude - without.attitude).max() < 2e-15
@@ -248,52 +182,6 @@ def test_all_commands_time_out_after_the_last_of_them():
     assert motion.wheel_efforts.tolist() == [[0.3, 0.2, 0.0, 0.0], [0.0] * 4]
 
 
-@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED, SLOWED])
-@pytest.mark.parametrize('timeout', [0.0, 0.1])
-def test_a_motion_in_pieces_has_the_same_bits(wheels, timeout):
-    rng = np.random.default_rng(3)
-    stamps = np.arange(40) * 100_000_000
-    log, efforts = TorqueLog(stamps, rng.normal(size=(40, 3))), commands(rng)
-    changes = BodyLog([stamps[11], stamps[20], 2_345_678_901], [SMALLER, DAMPED, BODY], 'momentum')
-    at = np.arange(0, 4 * SECOND, 12_345_678)
-    options = {'wheels': wheels, 'changes': changes, 'torque_timeout': timeout}
-    whole = Integration(Problem(BODY, START, log, efforts=efforts, **options))
-    expected = whole.advance(at)
-    run, found = None, []
-    for begin, end in zip([0, 13, 20, 27], [13, 20, 27, None]):
-        until_ns = None if end is None else int(stamps[end])
-        problem = Problem(BODY, START, log.between(stamps[begin], until_ns or 4 * SECOND),
-                          efforts=efforts.between(int(stamps[begin]), until_ns or 4 * SECOND),
-                          **options)
-        if run is None:
-            run = Integration(problem)
-        else:
-            run.extend(problem)
-        inside = (at >= stamps[begin]) & (at < (until_ns or 2 ** 62))
-        found.append(run.advance(at[inside], until_ns))
-    for name in ('attitude', 'angular_velocity', 'rotor_momentum', 'wheel_speeds'):
-        assert np.array_equal(np.concatenate([getattr(part, name) for part in found]),
-                              getattr(expected, name))
-
-
-@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED, SLOWED])
-def test_a_state_restarts_with_the_same_bits(wheels):
-    rng = np.random.default_rng(5)
-    efforts = commands(rng)
-    at = np.sort(rng.integers(2 * SECOND, 4 * SECOND, 30))
-    start = replace(START, rotor_momentum=(0.2, -0.1, 0.4))
-    whole = propagate(BODY, start, at=at, wheels=wheels, efforts=efforts)
-    propagator = Propagator(BODY, start, wheels=wheels, history=10.0)
-    for name, *values in arrivals(efforts):
-        getattr(propagator, name)(*values)
-    for time_ns in (1_700_000_000, int(efforts.times_ns[20])):
-        middle = propagator.at(time_ns)
-        inside = at >= time_ns
-        assert same(propagate(BODY, middle, at=at[inside], wheels=wheels, efforts=efforts),
-                    propagate(BODY, start, at=at[inside], wheels=wheels, efforts=efforts))
-    assert same(propagate(BODY, start, at=at, wheels=wheels, efforts=efforts), whole)
-
-
 def test_a_state_of_public_numbers_restarts_to_rounding():
     efforts, start = EffortLog([0], [[0.1, 0.2, -0.3, 0.0]]), replace(
         START, rotor_momentum=(0.2, -0.1, 0.4))
@@ -330,50 +218,6 @@ def test_without_efforts_the_axial_momentum_of_each_wheel_is_constant():
         assert abs(axial - axial[0]).max() < 1e-14 * 40.0
 
 
-@pytest.mark.parametrize(('make', 'message'), [
-    (lambda: Wheel('', (1, 0, 0), 1.0), "name of a wheel: expected a text, found ''"),
-    (lambda: Wheel('w', (0, 0, 0), 1.0), "axis of wheel 'w': expected a direction, found zeros"),
-    (lambda: Wheel('w', (1, 0, 0), 0.0), "inertia of wheel 'w': expected kg m^2 greater than"),
-    (lambda: Wheel('w', (1, 0, 0), 1.0, max_speed=-1.0), "max_speed of wheel 'w': expected zero"),
-    (lambda: Wheel('w', (1, 0, 0), 1.0, friction=-0.1), "friction of wheel 'w': expected zero"),
-    (lambda: Problem(BODY, START, wheels=[Wheel(f'w{k}', (1, 0, 0), 0.01, friction=0.1)
-                                          for k in range(9)]),
-     'wheels: expected at most 8 if one of them has friction or a max_speed, found 9'),
-    (lambda: propagate(BODY, START, at=[0], wheels=[Wheel('w', (1, 0, 0), 0.01, friction=2e7)]),
-     'wheels: expected friction whose quotients by the moments of inertia are at most 1e+09 1/s'),
-    (lambda: Problem(BODY, START, wheels=SLOWED, solver='rk4', max_step=0.01),
-     "solver 'rk4' handles neither friction nor max_speed of wheels, which auto and taylor do"),
-    (lambda: Propagator(BODY, START, wheels=SLOWED, solver='explicit_euler', max_step=0.01),
-     "solver 'explicit_euler' handles neither friction nor max_speed of wheels, "),
-    (lambda: Problem(BODY, START, wheels=SLOWED).carried(),
-     'wheels: expected none with friction, which only a propagation computes, found a, b, d'),
-    (lambda: EffortLog([0], [[np.inf]]), 'effort 0 at 0 ns: expected finite numbers, or NaN'),
-    (lambda: EffortLog([0], [1.0]), 'efforts: expected shape (1, wheels), found (1,)'),
-    (lambda: Problem(BODY, START, wheels=PYRAMID, efforts=EffortLog([0], [[1.0]])),
-     'efforts: expected those of 4 named wheels, found those of 1'),
-    (lambda: Problem(BODY, START, efforts=EffortLog([0], [[1.0]])),
-     'efforts: expected those of 0 named wheels, found those of 1'),
-    (lambda: Problem(BODY, START, wheels=[PYRAMID[0]] * 2), 'wheels: expected each name once, '),
-    (lambda: propagate(BODY, START, at=[0], wheels=[Wheel('w', (1, 0, 0), 2.5)]),
-     'wheels: expected axial inertia that the body can have, found that the rest is impossible: '),
-    (lambda: propagate(BODY, replace(START, wheel_speeds=(1.0, 2.0)), at=[0], wheels=PYRAMID),
-     'start: expected the speeds of 4 wheels, found 2'),
-    (lambda: Problem(BODY, START, wheels=PYRAMID, solver='exact'),
-     "solver 'exact' handles neither rotors nor damping, found rotors"),
-    (lambda: Propagator(BODY, START, wheels=PYRAMID, fields=[GravityGradient(0.1)]),
-     'fields: expected no gravity gradient with wheels that have names, '),
-    (lambda: Propagator(BODY, START).apply_efforts(0, {'a': 1.0}),
-     'efforts: expected named wheels, found none'),
-    (lambda: Propagator(BODY, START, wheels=PYRAMID).apply_efforts(0, {'e': 1.0}),
-     "efforts: expected names of wheels (a, b, c, d), found 'e'"),
-    (lambda: Propagator(BODY, START, wheels=PYRAMID).apply_efforts(0, {'a': np.nan}),
-     "effort of wheel 'a': expected a finite number, found nan"),
-])
-def test_mistakes_are_reported(make, message):
-    with pytest.raises(ValueError, match=f'^{re.escape(message)}'):
-        make()
-
-
 SCENE = {'inertia.ixx': 2.0, 'inertia.iyy': 3.0, 'inertia.izz': 4.0,
          'initial_angular_velocity.x': 0.3, 'initial_rotor_momentum.y': 0.2,
          'wheel_names': ['rw_x', 'rw_yz'], 'rw_x.axis.x': 2.0, 'rw_x.inertia': 0.05,
@@ -387,7 +231,7 @@ def test_a_scene_names_wheels():
               Wheel('rw_yz', (0, 1, 1), 0.1, max_torque=0.2, max_speed=100.0)]
     at = np.arange(0, 5 * SECOND, SECOND)
     expected = propagate(scene.body, scene.start, at=at, wheels=wheels)
-    assert same(scene.problem().propagate(at=at), expected)
+    assert_array_equal(numbers(scene.problem().propagate(at=at)), numbers(expected))
     epoch = Epoch(scene, scene.start)
     assert np.array_equal(epoch.at(at[-1], np.inf).wheel_speeds, expected.wheel_speeds[-1])
     assert scene.has_rotors
@@ -445,7 +289,7 @@ def test_a_checkpoint_keeps_the_speeds_of_the_wheels(tmp_path):
     assert abs(end.wheel_speeds - expected.wheel_speeds).max() < 1e-13
 
 
-@pytest.mark.parametrize(('other', 'speed'), [(0.0, 7.0), (0.2, 7.0), (1e-9, 7.0), (-1.5, 30.0)])
+@pytest.mark.parametrize(('other', 'speed'), [(0.0, 7.0), (1e-9, 7.0), (-1.5, 30.0)])
 def test_the_marker_of_the_first_epoch_is_the_start_of_the_scene(other, speed):
     # Rotors without a name also turn. If they cancel the momentum of the wheels, the marker does
     # not contain the speeds of the wheels.
@@ -460,28 +304,20 @@ def test_the_marker_of_the_first_epoch_is_the_start_of_the_scene(other, speed):
         (later, found), (scene, replace(scene.start, time_ns=SECOND))))
     np.testing.assert_allclose(motion.rotor_momentum, expected.rotor_momentum, atol=1e-15)
     np.testing.assert_allclose(motion.attitude, expected.attitude, atol=1e-15)
-    assert other or same(motion, expected)
+    assert other or np.array_equal(numbers(motion), numbers(expected))
 
 
-@pytest.mark.parametrize('log', [
-    None, TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]]),
-    TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]], frame='space')])
-@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED, SLOWED])
-def test_the_check_of_a_motion_knows_its_wheels(log, wheels):
+@pytest.mark.parametrize(('wheels', 'frame'), [
+    (PYRAMID, None), (PYRAMID, 'space'), (LIMITED, 'body'), (SLOWED, 'space')])
+def test_the_check_of_a_motion_knows_its_wheels(wheels, frame):
+    log = frame and TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]], frame)
     efforts = EffortLog([0, SECOND, 2 * SECOND], [[0.3, 0.1, 0.0, -0.3], [0.5] * 4, [-0.1] * 4])
     problem = Problem(BODY, START, log, wheels=wheels, efforts=efforts)
-    at = np.arange(0, 10 * SECOND, SECOND // 10)
-    motion = problem.propagate(at=at)
+    motion = problem.propagate(at=np.arange(0, 10 * SECOND, SECOND // 10))
     assert float(re.search(r'[\d.]+e[-+]\d+', drift(problem, motion).finding)[0]) < 1e-9
-    if problem.is_coupled:
-        return
-    other = problem.carried().propagate(at=at)
-    assert np.array_equal(other.attitude, motion.attitude)
-    assert np.array_equal(other.angular_velocity, motion.angular_velocity)
 
 
-@pytest.mark.parametrize('timeout', [0.0, 0.03])
-@pytest.mark.parametrize('keep', ['rate', 'momentum'])
+@pytest.mark.parametrize(('keep', 'timeout'), [('rate', 0.03), ('momentum', 0.0)])
 def test_rotors_that_do_what_the_wheels_do_move_a_changing_body_alike(keep, timeout):
     changes = BodyLog([-SECOND, SECOND, 2 * SECOND], [SMALLER, BODY, DAMPED], keep)
     problem = Problem(DAMPED, START, wheels=PYRAMID, changes=changes, torque_timeout=timeout,
@@ -492,21 +328,6 @@ def test_rotors_that_do_what_the_wheels_do_move_a_changing_body_alike(keep, time
     assert np.array_equal(other.angular_velocity, motion.angular_velocity)
 
 
-@pytest.mark.slow
-def test_an_ensemble_of_a_scene_with_wheels_has_their_motions(tmp_path):
-    lines = [f'    {name}: {value}' for name, value in SCENE.items()]
-    (tmp_path / 'scene.yaml').write_text('/**:\n  ros__parameters:\n' + '\n'.join(lines))
-    (tmp_path / 'vary.yaml').write_text('initial_angular_velocity.x: {uniform: [0.2, 0.4]}')
-    assert main.attitude_ensemble([
-        '--scene', str(tmp_path / 'scene.yaml'), '--vary', str(tmp_path / 'vary.yaml'), '--runs',
-        '3', '--until', '2', '-o', str(tmp_path / 'runs')]) == 0
-    row = pq.read_table(tmp_path / 'runs' / 'runs.parquet').to_pylist()[1]
-    problem = Scene.from_values(
-        {**SCENE, 'initial_angular_velocity.x': row['initial_angular_velocity.x']}).problem()
-    found = [row[f'attitude.{name}'] for name in 'xyzw']
-    assert found == problem.propagate(at=[2 * SECOND]).attitude[0].tolist()
-
-
 def test_the_speeds_of_wheels_at_the_start_are_kept_where_the_start_varies():
     start = replace(START, wheel_speeds=(50.0, -20.0, 0.0, 70.0))
     problem = Problem(BODY, start, wheels=PYRAMID)
@@ -515,7 +336,137 @@ def test_the_speeds_of_wheels_at_the_start_are_kept_where_the_start_varies():
         at=[SECOND]).attitude[0].tolist()
     assert last_digit_effect(problem, [SECOND]) < 1e-13
 
+# Largest speeds
 
-def test_many_motions_refuse_wheels_with_names():
-    with pytest.raises(ValueError, match='found named wheels, which only propagate computes'):
-        propagate_many(RigidBodies([BODY.inertia]), States(), at=[SECOND], wheels=PYRAMID)
+
+def problem_of(values):
+    """Return a scene of the file as a problem."""
+    xx, yy, zz, xy, xz, yz = values['inertia_ixx_iyy_izz_ixy_ixz_iyz']
+    torques, efforts = values['torque_t_ns_x_y_z'], values['efforts_t_ns_each']
+    return Problem(
+        RigidBody([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
+        State(0, values['initial_attitude_xyzw'], values['initial_angular_velocity']),
+        TorqueLog([row[0] for row in torques], [row[1:] for row in torques]) if torques else None,
+        wheels=[Wheel(**wheel) for wheel in values['wheels']],
+        efforts=EffortLog([row[0] for row in efforts], [row[1:] for row in efforts]))
+
+
+def true_spans(values):
+    """Return wheel, begin and end, ns, of the spans in which a wheel is not free."""
+    begins, spans = {}, []
+    for time, wheel, _, mode in values['events_t_ns_wheel_before_after']:
+        if mode != 'free':
+            begins.setdefault(wheel, time)
+        elif wheel in begins:
+            spans.append((wheel, begins.pop(wheel), time))
+    return spans + [(wheel, begin, f"{values['end_ns']}") for wheel, begin in begins.items()]
+
+
+def elapsed(time, time_ns, fraction):
+    """Return the difference between a time with many digits and a time in two parts, s."""
+    whole, _, digits = time.partition('.')
+    return abs(int(whole) - time_ns + float(f'0.{digits or 0}') - fraction) * 1e-9
+
+
+@pytest.mark.parametrize('name', TRUTH)
+def test_motions_to_the_largest_speed_and_their_times_there_agree_with_fifty_digits(name):
+    values = TRUTH[name]
+    problem, rows = problem_of(values), values['rows_t_ns_attitude_rates_speeds']
+    times_ns = [row[0] for row in rows]
+    motion = problem.propagate(at=times_ns)
+    attitude, rates, speeds = (np.array([row[k] for row in rows], float) for k in (1, 2, 3))
+    phase = np.cumsum(np.linalg.norm(rates, axis=1) * np.diff([0, *times_ns]) * 1e-9)
+    attitude *= np.sign(np.sum(attitude * motion.attitude, axis=1, keepdims=True))
+    bound = 1e-15 * (10.0 + phase)
+    assert (so3.angle_between(attitude, motion.attitude) <= bound).all()
+    size = 1.0 + np.linalg.norm(rates, axis=1)
+    assert (abs(rates - motion.angular_velocity).max(axis=1) <= 2.0 * bound * size).all()
+    assert (abs(speeds - motion.wheel_speeds) <= 2e-15 * (10.0 + abs(speeds)) * (
+        10.0 + phase[:, None])).all()
+    names = [wheel.name for wheel in problem.named_wheels.wheels]
+    found = [span for span in problem.propagate(at=[values['end_ns']]).at_limit
+             if span.seconds > TOUCH]
+    expected = sorted(true_spans(values), key=lambda span: float(span[1]))
+    assert [names.index(span.wheel) for span in found] == [wheel for wheel, _, _ in expected]
+    for span, (_, begin, end) in zip(found, expected):
+        assert elapsed(begin, span.begin_ns, span.begin_fraction) <= 1e-12
+        # A wheel leaves the speed of `grazing` with hardly any acceleration.
+        assert elapsed(end, span.end_ns, span.end_fraction) <= (
+            1e-11 if name == 'grazing' else 1e-12)
+
+
+def random_problem(seed, friction=False):
+    """Return a body with one to four limited wheels, commands at irregular times, and a torque."""
+    random = np.random.default_rng((58, seed))
+    count = int(random.integers(1, 5))
+    moments = 0.1 * random.uniform(1.0, 1.9, 3)
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    wheels = [Wheel(f'w{k}', random.normal(size=3), 0.002 * random.uniform(0.5, 2.0),
+                    random.uniform(-70.0, 70.0), 1e-4 * friction * random.random(),
+                    max_speed=50.0) for k in range(count)]
+    stamps = np.sort(random.integers(0, 5 * SECOND, 6))
+    torque = TorqueLog(np.arange(5) * SECOND, 0.05 * random.normal(size=(5, 3)))
+    return Problem(RigidBody(turn * moments @ turn.T), State(0, (0, 0, 0, 1),
+                                                             random.normal(size=3)),
+                   torque if random.random() < 0.5 else None, wheels=wheels,
+                   efforts=EffortLog(stamps, 0.05 * random.normal(size=(6, count))))
+
+
+def check(problem, at):
+    """Check that motors do what they may at all times; return how often wheels are held."""
+    motion = problem.propagate(at=at)
+    speeds, efforts = motion.wheel_speeds, motion.wheel_efforts
+    commands = motion._parts[0].wheels.efforts(at)
+    drives = commands * speeds > 0.0
+    beyond, below = abs(speeds) > 50.0 * (1.0 + 1e-11), abs(speeds) < 50.0 * (1.0 - 1e-11)
+    assert (efforts[drives & beyond] == 0.0).all()
+    assert (efforts[below | ~drives] == commands[below | ~drives]).all()
+    assert (abs(efforts) <= abs(commands)).all()
+    assert (efforts * commands >= 0.0).all()
+    return int((drives & ~beyond & ~below & (efforts != 0.0)).sum())
+
+
+@pytest.mark.parametrize('friction', [False, True])
+def test_no_motor_drives_a_wheel_beyond_its_limit(friction):
+    at = np.linspace(0, 8 * SECOND, 400).astype(np.int64)
+    assert sum(check(random_problem(seed, friction), at) for seed in range(15)) > 200
+
+
+@pytest.mark.nightly
+def test_no_event_is_missed_in_a_hundred_thousand_motions():
+    at = np.linspace(0, 8 * SECOND, 100).astype(np.int64)
+    for seed in range(100_000):
+        check(random_problem(seed, seed % 2 > 0), at)
+
+
+def test_a_motor_at_the_limit_gives_what_friction_takes():
+    wheel = Wheel('w', (0, 0, 1), 1e-3, friction=1e-3, max_speed=5.0)
+    motion = Problem(RigidBody(np.eye(3) * 1e9), State(), wheels=[wheel],
+                     efforts=EffortLog([0], [[1.0]])).propagate(at=[SECOND])
+    assert motion.wheel_efforts[0, 0] == pytest.approx(5e-3, rel=1e-9)
+    assert motion.wheel_speeds[0, 0] == pytest.approx(5.0, rel=1e-15)
+
+
+def test_a_wheel_without_a_command_turns_as_the_body_drives_it():
+    values = TRUTH['by_the_body']
+    free = problem_of(values)
+    free = free.replaced(efforts=EffortLog([0], [[0.0]]))
+    unlimited = Problem(free.body, free.start, free.logs, wheels=[
+        replace(wheel, max_speed=0.0) for wheel in free.named_wheels.wheels])
+    at = np.arange(0, 10 * SECOND, SECOND)
+    motion = free.propagate(at=at)
+    assert not motion.at_limit
+    np.testing.assert_allclose(motion.attitude, unlimited.propagate(at=at).attitude, atol=1e-14)
+
+
+def test_rotors_with_the_mean_efforts_keep_the_momentum_of_the_wheels():
+    problem = problem_of(TRUTH['four_skewed'])
+    carried = problem.carried()
+    at = problem.efforts.times_ns[1:]
+    expected, found = problem.propagate(at=at), carried.propagate(at=at)
+    assert expected.at_limit
+    # The rotors of the carrier have the axial momenta of the wheels.
+    wheels = problem.named_wheels
+    momentum = expected.rotor_momentum + wheels.of_body(expected.angular_velocity)
+    np.testing.assert_allclose(found.rotor_momentum, momentum, atol=1e-10)
+    np.testing.assert_allclose(found.attitude, expected.attitude, atol=1e-4)
