@@ -15,6 +15,7 @@
 """Recordings with common faults: the right value, or a line that names the fault."""
 
 from functools import partial
+import itertools
 import re
 
 from conftest import SECOND
@@ -107,9 +108,11 @@ def measured(folder, kind, rows, stamps):
     return write(folder / 'it.mcap', torque=torque()), path
 
 
+KINDS = ('Imu', 'PoseStamped', 'Odometry', 'csv', 'tum')
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize('clock', CLOCKS)
-@pytest.mark.parametrize('kind', ['Imu', 'PoseStamped', 'Odometry', 'csv', 'tum'])
+@pytest.mark.parametrize(('kind', 'clock'), [*zip(itertools.cycle(KINDS), CLOCKS)])
 def test_stamps_that_cannot_be_right_are_a_warning_and_no_cause(run, tmp_path, kind, clock):
     rows, stamps, replaced, steps, warning = CLOCKS[clock]
     path, topic = measured(tmp_path, kind, rows, stamps)
@@ -126,8 +129,7 @@ def test_stamps_that_cannot_be_right_are_a_warning_and_no_cause(run, tmp_path, k
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('harmless', HARMLESS)
-@pytest.mark.parametrize('kind', ['Imu', 'PoseStamped', 'Odometry', 'csv', 'tum'])
+@pytest.mark.parametrize(('kind', 'harmless'), [*zip(itertools.cycle(KINDS[::-1]), HARMLESS)])
 def test_samples_that_arrive_late_are_sorted_without_a_warning(run, tmp_path, kind, harmless):
     rows, stamps, counted = HARMLESS[harmless]
     path, topic = measured(tmp_path, kind, rows, stamps)
@@ -137,8 +139,8 @@ def test_samples_that_arrive_late_are_sorted_without_a_warning(run, tmp_path, ki
     is_noise(found, *CHANNELS[kind])
 
 
-@pytest.mark.parametrize('kind', ['messages', 'csv'])
-@pytest.mark.parametrize('clock', [*CLOCKS, *HARMLESS])
+@pytest.mark.parametrize(('kind', 'clock'), [*zip(itertools.cycle(['messages', 'csv']),
+                                                [*CLOCKS, *HARMLESS])])
 def test_stamps_of_torques_are_accounted_for(run, tmp_path, kind, clock):
     rows, stamps, *_, expected = {**CLOCKS, **HARMLESS}[clock]
     if kind == 'csv':
@@ -160,7 +162,7 @@ def test_stamps_of_torques_are_accounted_for(run, tmp_path, kind, clock):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('clock', CLOCKS)
+@pytest.mark.parametrize('clock', ['every third', '1 s'])
 def test_stamps_of_several_torques_are_accounted_for_by_topic(run, tmp_path, clock):
     rows, stamps, replaced, steps, expected = CLOCKS[clock]
     path = write(tmp_path / 'it.mcap', torque=torque(), imu=sensor('Imu'),
@@ -174,7 +176,7 @@ def test_stamps_of_several_torques_are_accounted_for_by_topic(run, tmp_path, clo
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('clock', ['every third', 'tenths', '1 s', '25 ms', 'beyond the start'])
+@pytest.mark.parametrize('clock', ['tenths', 'beyond the start'])
 def test_times_of_the_recording_cure_the_stamps(run, tmp_path, clock):
     _, stamps, *_ = CLOCKS[clock]
     path = write(tmp_path / 'it.mcap', torque=torque(stamps), it=sensor('Imu', stamps))
@@ -188,16 +190,7 @@ def test_a_single_stamp_is_an_error(run, tmp_path):
     assert run('compare', path).error.endswith('at least 4 different stamps, found 1\n')
 
 
-@pytest.mark.slow
-def test_no_suspect_is_named_while_stamps_cannot_be_right(run, tmp_path):
-    rows, stamps, *_, warning = CLOCKS['25 ms']
-    path, _ = measured(tmp_path, 'Imu', rows, stamps)
-    _, _, error, found = run('identify', path)
-    assert re.search(warning, error)
-    assert found['verdict']['suspects'] == []
-
-
-@pytest.mark.parametrize('size', [1, 50, 101, 151, 300])
+@pytest.mark.parametrize('size', [1, 50, 300])
 def test_a_step_is_told_from_late_samples_wherever_blocks_end(size):
     for stamps, steps in ((back(0.025), [(152, 25_000_000)]), (STAMPS[LATE], []),
                           (STAMPS[BURST], [])):
@@ -223,15 +216,16 @@ def unfilled(folder, filler, kind='Imu'):
     return write(folder / 'it.mcap', torque=torque(), it=sent)
 
 
-@pytest.mark.parametrize('kind', ['Imu', 'Odometry'])
-@pytest.mark.parametrize(('filler', 'note'), [
-    *((filler, NO_ATTITUDE.format(filler)) for filler in (IDENTITY, [0.5, 0.5, -0.5, 0.5])),
-    ([0.0] * 4, ''), ('gyro', NO_RATES)])
+@pytest.mark.parametrize(('kind', 'filler', 'note'), [
+    ('Imu', IDENTITY, NO_ATTITUDE.format(IDENTITY)),
+    ('Odometry', [0.5, 0.5, -0.5, 0.5], NO_ATTITUDE.format([0.5, 0.5, -0.5, 0.5])),
+    ('Imu', [0.0] * 4, ''),
+    # It has no covariance that says so.
+    ('Odometry', [0.0] * 4, 'the attitude is not used: expected finite values, of a possible '
+     f'size, found none in {COUNT} messages'),
+    ('Odometry', 'gyro', NO_RATES)])
 def test_what_was_never_filled_is_left_out(run, tmp_path, kind, filler, note):
     path = unfilled(tmp_path, filler, kind)
-    if not note and kind == 'Odometry':  # it has no covariance that says so
-        note = f'the attitude is not used: expected finite values, of a possible size, found ' \
-               f'none in {COUNT} messages'
     status, _, error, found = run('compare', path, '--measured', '/it')
     assert (status, found['likely_causes']) == (0, [])
     assert error == (f'attitude_compare: note: {path}: /it: {note}\n' if note else '')
@@ -261,10 +255,9 @@ def test_a_body_at_rest_is_measured(run, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('parts', 'names'), [
-    ([''], BOTH), ([':rates'], (GYRO,)), ([':attitude'], (ATTITUDES,)),
-    ([':rates', ':attitude'], BOTH)])
-@pytest.mark.parametrize('has_second', [False, True])
+@pytest.mark.parametrize(('has_second', 'parts', 'names'), [
+    (True, [''], BOTH), (False, [':rates'], (GYRO,)), (True, [':attitude'], (ATTITUDES,)),
+    (True, [':rates', ':attitude'], BOTH)])
 def test_a_part_of_a_topic_is_chosen_of_any_recording(run, tmp_path, has_second, parts, names):
     topics = {'imu': sensor('Imu')}
     path = write(tmp_path / 'it.mcap', torque=torque(), **({} if has_second else topics))
@@ -286,16 +279,14 @@ TURNED = {'attitude': (Rotation.from_quat(ATTITUDE) * SENSOR).as_quat(),
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('kind', 'frame', 'child', 'note'), [
-    *(('Imu', name, None, SPACE.format(name)) for name in ('world', '/world')),
+    ('Imu', '/world', None, SPACE.format('/world')),
     *(('Odometry', parent, child, SPACE.format(child)) for parent, child in (
-        ('world', 'world'), ('world', '/world'), ('odom', 'odom'), ('/odom', 'odom'),
-        ('odom', '/odom'))),
+        ('world', 'world'), ('/odom', 'odom'), ('odom', '/odom'))),
     ('Imu', IN_TURNS, None, SPACE.format('world')),
     *((kind, *frames, LINK.format('/imu_link')) for kind, *frames in (
-        ('Imu', '/imu_link', None), ('Vector3Stamped', '/imu_link', None),
-        ('Odometry', 'world', '/imu_link'))), ('Imu', 'imu_link', None, LINK.format('imu_link')),
-    ('Imu', '/base_link', None, ''), ('Odometry', '/world', '/base_link', ''),
-    ('Vector3Stamped', '/base_link', None, ''), ('PoseStamped', '/world', None, '')])
+        ('Vector3Stamped', '/imu_link', None), ('Odometry', 'world', '/imu_link'))),
+    ('Imu', 'imu_link', None, LINK.format('imu_link')),
+    ('Odometry', '/world', '/base_link', ''), ('Vector3Stamped', '/base_link', None, '')])
 def test_measurements_are_converted_from_the_axes_that_messages_name(run, tmp_path, kind, frame,
                                                                      child, note):
     values = TURNED if 'link' in note else {'rates': IN_SPACE} if note else {}
@@ -339,7 +330,7 @@ def test_rates_in_space_axes_without_an_attitude_are_an_error(run, tmp_path, kin
 
 @pytest.mark.parametrize(('norm', 'worst'), [
     (12345.0, '301 of 301 quaternions do not have norm 1; the worst has norm 12345:'),
-    (0.5, 'norm 0.5:'), (1.02, 'norm 1.02:'), (1.002, ''), (32767.0, r'norm 3276\d\.\d:'),
+    (1.02, 'norm 1.02:'), (1.002, ''), (32767.0, r'norm 3276\d\.\d:'),
     (np.where(ROWS == 7, 3.0, 1.0)[:, None], '')])
 def test_quaternions_without_norm_1_are_a_warning_unless_few(run, tmp_path, norm, worst):
     values = norm * ATTITUDE
@@ -352,8 +343,8 @@ def test_quaternions_without_norm_1_are_a_warning_unless_few(run, tmp_path, norm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('fault', [{'sec': -2 ** 31}, {'nanosec': 2 * SECOND}])
-@pytest.mark.parametrize('kind', ['Imu', 'Odometry', 'Vector3Stamped'])
+@pytest.mark.parametrize(('kind', 'fault'), [
+    ('Odometry', {'sec': -2 ** 31}), ('Vector3Stamped', {'nanosec': 2 * SECOND})])
 def test_stamps_that_are_not_times_are_no_obstacle_to_other_times(run, tmp_path, kind, fault):
     def change(message):
         vars(message.header.stamp).update(fault)
@@ -371,7 +362,7 @@ def test_stamps_that_are_not_times_are_no_obstacle_to_other_times(run, tmp_path,
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('rows', 'warning'), [
-    ([7], ''), ([300], ''), (ROWS[7::20], '15 of 301 samples are rejected: expected finite')])
+    ([300], ''), (ROWS[7::20], '15 of 301 samples are rejected: expected finite')])
 def test_torques_that_are_not_finite_are_skipped_and_counted(run, tmp_path, rows, warning):
     torques = TORQUES.copy()
     torques[rows, 1] = np.nan
@@ -408,7 +399,6 @@ def transforms(*links, rows=ROWS):
 STATIC, ON_FIXED = transforms(EVERY[0], rows=[0]), transforms(('odom', 'base_link', FIXED))
 CHAINS = {
     'one message': ('/tf', {'tf': transforms(*EVERY)}),
-    'several messages': ('/tf', {'tf': transforms(BODY) + transforms(EVERY[0])}),
     'slow': ('/tf', {'tf': transforms(BODY) + transforms(EVERY[0], rows=ROWS[::20])}),
     'reversed': ('/tf', {'tf': transforms(EVERY[0], ('base_link', 'odom', ODOM.inv()))}),
     'fixed': ('/tf', {'tf': ON_FIXED, 'tf_static': STATIC}),
@@ -419,8 +409,7 @@ CHAINS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('has_frames', [False, True])
-@pytest.mark.parametrize('chain', CHAINS)
+@pytest.mark.parametrize(('chain', 'has_frames'), [*zip(CHAINS, itertools.cycle([False, True]))])
 def test_transforms_are_composed_along_a_chain(run, tmp_path, chain, has_frames):
     topic, topics = CHAINS[chain]
     path = write(tmp_path / 'it.mcap', torque=torque(), **topics)

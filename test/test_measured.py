@@ -21,7 +21,7 @@ import re
 import shutil
 
 from bags import Sent
-from conftest import EPOCH_NS, memory_limit, SECOND
+from conftest import at_night, EPOCH_NS, memory_limit, SECOND
 from measurements import (
     messages_of,
     Quaternion,
@@ -42,9 +42,7 @@ from rigid_body_ros.comparison import read_measured
 from rigid_body_ros.comparison.comparison import compare_recording
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording import Reading
-from rigid_body_ros.recording.account import Account
 from rigid_body_ros.scene import load
-from scipy.spatial.transform import Rotation
 
 BOTH, ATTITUDES = ('Imu', 'Odometry'), (
     'QuaternionStamped', 'PoseStamped', 'PoseWithCovarianceStamped', 'TransformStamped',
@@ -97,17 +95,13 @@ def test_covariances_are_read_in_body_axes(tmp_path, measured, kind):
         expected = turn.transpose(0, 2, 1) @ KNOWN @ turn
     np.testing.assert_allclose(found.attitude_covariance, expected, atol=1e-18)
     np.testing.assert_array_equal(found.rate_covariance, np.broadcast_to(KNOWN, (2000, 3, 3)))
-
-
-def test_zeros_are_an_unknown_covariance(tmp_path, measured):
-    found = read_measured(only(tmp_path, 'Imu', measured), '/it')
-    assert found.attitude_covariance is None
-    assert found.rate_covariance is None
+    found = read_measured(only(tmp_path, kind, measured), '/it')  # zeros are unknown
+    assert (found.attitude_covariance, found.rate_covariance) == (None, None)
     assert found.attitude is not None
 
 
-@pytest.mark.parametrize(('covariance', 'value'), [(0, -1.0), (0, 1e6)])
-def test_what_an_imu_does_not_measure_is_left_out(tmp_path, measured, covariance, value):
+@pytest.mark.parametrize('value', [-1.0, 1e6])
+def test_what_an_imu_does_not_measure_is_left_out(tmp_path, measured, value):
     unknown = np.diag([value, 0.0, 0.0])
     found = read_measured(only(tmp_path, 'Imu', measured, unknown, KNOWN), '/it')
     assert found.attitude is None
@@ -117,15 +111,19 @@ def test_what_an_imu_does_not_measure_is_left_out(tmp_path, measured, covariance
     assert found.angular_velocity is None
 
 
-def test_messages_without_a_finite_value_are_rejected(tmp_path, measured):
+def test_messages_without_a_possible_value_are_rejected(tmp_path, measured):
     bad = measured.rows(np.arange(100))
-    bad.attitude[3], bad.attitude[4], bad.angular_velocity[7] = 0.0, np.nan, np.inf
+    bad.attitude[3], bad.attitude[4] = 0.0, np.nan
+    bad.angular_velocity[7:10, 1] = np.inf, 1e300, -1.1e9
     found = read_measured(only(tmp_path, 'Imu', bad), '/it')
-    assert (len(found), found.account.rejected) == (97, 3)
+    assert (len(found), found.account.rejected) == (95, 5)
+    bad.angular_velocity[:] = 1e300
+    with pytest.raises(InputError, match='at least 4 messages with a finite .*, found 0 among 1'):
+        read_measured(only(tmp_path, 'Vector3Stamped', bad), '/it')
 
 
 @pytest.mark.parametrize(('name', 'value'), [
-    ('attitude', 0.0), ('attitude', np.nan), ('angular_velocity', np.inf)])
+    ('attitude', 0.0), ('angular_velocity', np.inf), ('angular_velocity', 1e300)])
 def test_a_quantity_that_is_never_usable_is_left_out_with_a_note(tmp_path, measured, name, value):
     bad = measured.rows(np.arange(100))
     getattr(bad, name)[:] = value
@@ -136,57 +134,23 @@ def test_a_quantity_that_is_never_usable_is_left_out_with_a_note(tmp_path, measu
         'found none in 100 messages']
 
 
-def test_a_small_step_back_is_a_fault_because_the_samples_before_and_after_do_not_fit():
-    stamps, account = np.arange(1000) * SECOND, Account()
-    stamps[500:] -= 5 * SECOND // 2
-    account.add(stamps)
-    fault, = account.faults
-    assert fault.startswith('the stamps go back by 2.5 s at sample 501: was the clock set')
-    late, account = np.arange(1000), Account()
-    late[[500, 501]] = late[[501, 500]]
-    account.add(late * SECOND)
-    assert account.faults == []
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize('seconds', [30, 10 ** 8])
-def test_a_clock_that_jumps_ahead_is_named(run, tmp_path, measured, monkeypatch, seconds):
+def test_a_clock_that_jumps_ahead_is_named(run, tmp_path, measured, monkeypatch):
     monkeypatch.setattr('rigid_body_ros.recording.gaps._PATIENCE', 1e-9)
     motion, sensor = truth(), measured.rows(slice(None, None, 10))
     times, stamps = motion.torque_times.copy(), sensor.stamps_ns.copy()
     for each in (times, stamps):
-        each[len(each) // 2:] += seconds * SECOND
+        each[len(each) // 2:] += 30 * SECOND
     path = write(tmp_path / 'jump.mcap',
                  torque=torque_messages(replace(motion, torque_times=times)),
                  imu=messages_of('Imu', replace(sensor, stamps_ns=stamps)))
     status, shown, error = run(path=path)
-    if seconds > 30:
-        assert (status, shown) == (2, '')
-        assert error.startswith(f'attitude_compare: error: {path}: the torque [')
-        assert 'expected at most 1e+10 steps' in error
-        return
-    assert status == 0
-    assert 'likely cause' not in shown
+    assert (status, 'likely cause' in shown) == (0, False)
     announced, warning = error.splitlines()
     assert announced.startswith(f'{path}: computing the motion takes about 0:00:0')
     assert warning.startswith(
         f'attitude_compare: warning: {path}: torques: a torque acts for 30.05 s until the next '
         'one, from 9.95 s after the start')
-
-
-@pytest.mark.slow
-def test_impossible_rates_are_rejected_like_those_that_are_not_finite(run, tmp_path, measured):
-    bad = measured.rows(np.arange(1000))
-    bad.angular_velocity[3:9:2] = [[1e300, 0.0, 0.0], [0.0, -1.1e9, 0.0], [-np.inf, 0.0, 0.0]]
-    path = write(tmp_path / 'it.mcap', torque=torque_messages(truth()),
-                 imu=messages_of('Imu', bad))
-    status, shown, error = run('--align', 'clock', path=path)
-    assert (status, error) == (0, '')
-    assert 'account          /imu: 997 of 1000 samples are used: 3 rejected\n' in shown
-    bad.angular_velocity[:, 1] = 1e300
-    assert read_measured(only(tmp_path, 'Imu', bad), '/it').angular_velocity is None
-    with pytest.raises(InputError, match='at least 4 messages with a finite .*, found 0 among 1'):
-        read_measured(only(tmp_path, 'Vector3Stamped', bad), '/it')
 
 
 INVALID = [np.diag([-1e-6, 1e-6, 1e-6]), np.full((3, 3), np.nan), np.diag([1e-6, np.nan, 1e-6]),
@@ -195,13 +159,12 @@ INVALID = [np.diag([-1e-6, 1e-6, 1e-6]), np.full((3, 3), np.nan), np.diag([1e-6,
 
 
 @pytest.mark.parametrize('covariance', INVALID)
-@pytest.mark.parametrize('kind', [*BOTH, 'PoseWithCovarianceStamped'])
-def test_an_invalid_covariance_is_unknown(tmp_path, measured, kind, covariance):
-    sensor = measured.rows(np.arange(9))
-    found = read_measured(only(tmp_path, kind, sensor, covariance, covariance), '/it')
-    assert len(found) == 9
-    assert found.attitude_covariance is None
-    assert found.rate_covariance is None
+def test_an_invalid_covariance_is_unknown(tmp_path, measured, covariance):
+    for kind in (*BOTH, 'PoseWithCovarianceStamped'):
+        found = read_measured(only(tmp_path, kind, measured.rows(np.arange(9)), covariance,
+                                   covariance), '/it')
+        assert len(found) == 9
+        assert (found.attitude_covariance, found.rate_covariance) == (None, None)
 
 
 def test_messages_out_of_order_are_sorted(tmp_path, measured):
@@ -246,11 +209,10 @@ def renamed(pairs, parent, child=''):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('kind', 'parent', 'child', 'warning'), [
-    ('Odometry', 'odom', 'b/base_link', "frames 'world' to 'base_link', found 'odom' to 'b/base_"),
     ('TransformStamped', 'world', 'b', "frames 'world' to 'base_link', found 'world' to 'b'"),
     ('Imu', 'b/imu', '', "frame_id 'base_link', found 'b/imu'"),
     ('PoseStamped', 'base_link', '', "frame_id 'world', found 'base_link'"),
-    ('Odometry', '', '', ''), ('Odometry', 'world', 'base_link', ''), ('Imu', '', '', '')])
+    ('Odometry', '', '', '')])
 def test_measurements_of_other_frames_are_a_warning(run, tmp_path, measured, kind, parent, child,
                                                     warning):
     sensor = measured.rows(np.arange(200))
@@ -310,52 +272,39 @@ def run(capsys, bag, scene):
     return call
 
 
+def test_a_horizon_shorter_than_the_spacing_is_an_error(run, bag):
+    with memory_limit(100e6):
+        status, shown, error = run('--horizon', '1e-9')
+    assert (status, shown) == (2, '')
+    assert error == (f'attitude_compare: error: {bag}: /imu: expected a horizon of at least 0.01 '
+                     's, the time between two samples, found 1e-09 s\n')
+
+
 @pytest.mark.slow
-def test_the_command_reports_the_noise(run, tmp_path):
-    status, shown, _ = run('--json', tmp_path / 'it.json', '--horizon', 1, '--horizon', 5)
-    assert status == 0
-    assert 'likely cause' not in shown
-    found = json.loads((tmp_path / 'it.json').read_text())
-    assert (found['recording'], found['measured']) == ('flight.mcap', ['/imu'])
+def test_the_command_writes_errors_a_plot_and_a_page_with_names_as_text(run, tmp_path, bag):
+    path, report = tmp_path / '<b>&.mcap', tmp_path / 'page.html'
+    output, plot, figures = (tmp_path / name for name in ('errors.mcap', 'p.png', 'it.json'))
+    shutil.copy(bag, path)
+    status, shown, _ = run('--report', report, '-o', output, '--plot', plot, '--json', figures,
+                           '--horizon', 1, path=path)
+    assert (status, 'likely cause' in shown) == (0, False)
+    assert plot.read_bytes().startswith(b'\x89PNG')
+    found = json.loads(figures.read_text())
+    assert (found['recording'], found['measured']) == ('<b>&.mcap', ['/imu'])
     assert (found['samples'], found['span_s']) == (2000, pytest.approx(19.99))
     assert found['attitude_error_rad']['rms'] == pytest.approx(3 ** 0.5 * 1e-3, rel=0.05)
     assert found['rate_error_rad_s']['rms'] == pytest.approx(3 ** 0.5 * 2e-3, rel=0.05)
-    assert [(each['seconds'], each['windows']) for each in found['horizons']] == [(1, 19), (5, 3)]
+    assert [(each['seconds'], each['windows']) for each in found['horizons']] == [(1, 19)]
     assert found['residual_torque_N_m']['rms'] < 1e-3
-
-
-@pytest.mark.parametrize('seconds', ['1e-9', '1e-6', '0.005'])
-def test_a_horizon_shorter_than_the_spacing_is_an_error(run, bag, seconds):
-    with memory_limit(100e6):
-        status, shown, error = run('--horizon', seconds)
-    assert (status, shown) == (2, '')
-    assert error == (f'attitude_compare: error: {bag}: /imu: expected a horizon of at least 0.01 '
-                     f's, the time between two samples, found {float(seconds):g} s\n')
-
-
-@pytest.mark.slow
-def test_the_command_writes_errors_and_a_plot(run, tmp_path):
-    output, plot = tmp_path / 'errors.mcap', tmp_path / 'errors.png'
-    status, shown, _ = run('-o', output, '--plot', plot, '--measured', '/imu', '--horizon', 1)
-    assert status == 0
-    assert f'{output}, {plot}' in shown
-    assert plot.read_bytes().startswith(b'\x89PNG')
     vectors = recording.read(output, '/error/rotation_vector', messages.VECTOR3)
-    assert len(vectors) == 2000
-    assert set(vectors.names) == {'base_link'}
+    assert (len(vectors), {*vectors.names}) == (2000, {'base_link'})
     assert np.sqrt(np.mean(vectors.values ** 2)) == pytest.approx(1e-3, rel=0.05)
     assert len(recording.read(output, '/error/angular_velocity', messages.VECTOR3)) == 2000
     torques = recording.read(output, '/residual_torque')
     assert not torques.values[:, :3].any()
     assert np.abs(torques.values[:, 3:]).max() < 2e-3
-
-
-def test_the_page_has_the_errors_the_summary_and_names_as_text(run, tmp_path, bag):
-    path, report = tmp_path / '<b>&.mcap', tmp_path / 'page.html'
-    shutil.copy(bag, path)
-    status, shown, _ = run('--report', report, '--horizon', 1, path=path)
-    assert status == 0
-    assert f'wrote            {report}' in shown
+    written = shown.splitlines()[-1]
+    assert all(str(each) in written for each in (output, plot, figures, report))
     text = report.read_text(encoding='utf-8')
     assert '<b>' not in text
     assert '<p class="source">&lt;b&gt;&amp;.mcap: /imu</p>' in text
@@ -394,20 +343,6 @@ def test_the_measured_curve_has_the_sign_of_the_computed_one(run, tmp_path):
     for curves in data_of(report.read_text(encoding='utf-8'))['panels'][0]['curves']:
         drawn = array(curves['low'], '<f4').reshape(4, -1) + np.array(curves['offsets'])[:, None]
         np.testing.assert_allclose(drawn[:, 0], truth().start.attitude, atol=0.02)
-
-
-@pytest.mark.slow
-def test_the_command_aligns(run, tmp_path):
-    mount = Rotation.from_rotvec([0.1, 0.1, -0.1])
-    sensor = truth().measured(1e-3, 2e-3, clock=0.035, mount=mount)
-    path = write(tmp_path / 'flight.mcap', torque=torque_messages(truth()),
-                 pose=messages_of('Odometry', sensor))
-    status, shown, _ = run('--align', 'clock,mount', '--json', tmp_path / 'it.json', path=path)
-    assert status == 0
-    assert 'clock offset' in shown
-    found = json.loads((tmp_path / 'it.json').read_text())['alignment']
-    assert found['clock_offset_s'] == pytest.approx(0.035, abs=1e-3)
-    assert so3.angle_between(found['mount_xyzw'], mount.as_quat()) < 2e-3
 
 
 @pytest.mark.slow
@@ -454,7 +389,7 @@ def aligned_in_first_epoch(tmp_path, clock):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('clock', [0.5, -0.5, 4.0])
+@pytest.mark.parametrize('clock', [4.0, *at_night(0.5, -0.5)])
 def test_a_clock_that_is_off_moves_the_end_of_an_epoch(tmp_path, clock):
     found = aligned_in_first_epoch(tmp_path, clock)
     assert found.alignment.clock_offset_s == pytest.approx(clock, abs=1e-6)
@@ -493,13 +428,15 @@ def test_only_a_part_is_compared_and_the_torque_before_it_still_acts(run, tmp_pa
 @pytest.mark.slow
 def test_a_part_without_torques_begins_and_ends_at_its_times(run, tmp_path, measured):
     path = write(tmp_path / 'free.mcap', imu=messages_of('Imu', measured))
-    status, _, _ = run('--from', '2', '--until', '3', '--json', tmp_path / 'it.json', path=path)
+    status, shown, _ = run('--from', '2', '--until', '3', '--json', tmp_path / 'it.json',
+                           path=path)
     assert status == 0
+    assert 'none in the recording: the body is free' in shown
     assert json.loads((tmp_path / 'it.json').read_text())['samples'] == 101
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('clock', [0.5, -0.5])
+@pytest.mark.parametrize('clock', [-0.5, *at_night(0.5)])
 def test_the_end_of_a_part_is_on_the_clock_of_the_torques(tmp_path, clock):
     path = write(tmp_path / 'late.mcap', torque=torque_messages(truth()),
                  imu=messages_of('Imu', truth().measured(clock=clock)))
@@ -513,8 +450,6 @@ def test_the_end_of_a_part_is_on_the_clock_of_the_torques(tmp_path, clock):
     (('--from', '3', '--until', '2.5'), '--until: expected more than --from, 3 s, found 2.5 s'),
     (('--from', '21'), 'flight.mcap: /imu: expected measurements during the motion, from '
      f'{EPOCH_NS + 21 * SECOND} ns to the last torque or the end at '),
-    (('--from', '1', '--motion', 'motion.mcap'), '--from: expected a motion that is computed, '
-     'found --motion'),
     (('--until', '1', '--motion', 'motion.mcap'), '--until: expected a motion that is computed')])
 def test_a_part_without_a_motion_is_one_line(run, arguments, message):
     status, shown, error = run('--measured', '/imu', *arguments)
@@ -523,8 +458,10 @@ def test_a_part_without_a_motion_is_one_line(run, arguments, message):
     assert error.count('\n') == 1
 
 
-def test_a_recorded_motion_is_compared(run, tmp_path, bag, scene):
-    motion = tmp_path / 'motion.mcap'
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ['motion.mcap', 'motion.csv'])
+def test_a_recorded_motion_is_compared(run, tmp_path, bag, scene, name):
+    motion = tmp_path / name
     assert main.attitude_replay([str(bag), '--scene', str(scene), '--topic', '/torque', '-o',
                                 str(motion), '--rate', '200', '--until', '20']) == 0
     status, _, _ = run('--motion', motion, '--json', tmp_path / 'it.json')
@@ -537,16 +474,8 @@ def test_a_recorded_motion_is_compared(run, tmp_path, bag, scene):
     assert 'expected a model that can restart, found a recorded motion' in error
 
 
-@pytest.mark.slow
-def test_a_recording_without_torques_is_a_free_body(run, tmp_path, measured):
-    path = write(tmp_path / 'free.mcap', imu=messages_of('Imu', measured))
-    status, shown, _ = run(path=path)
-    assert status == 0
-    assert 'none in the recording: the body is free' in shown
-
-
 def test_an_input_is_never_an_output(run, bag, scene):
-    for option in ('-o', '--json', '--plot', '--report'):
+    for option in ('-o', '--json'):
         for name in (bag, scene):
             before = name.read_bytes()
             status, _, error = run(option, name, '--overwrite')
@@ -555,37 +484,25 @@ def test_an_input_is_never_an_output(run, bag, scene):
             assert name.read_bytes() == before
 
 
-def bad_recordings(measured):
-    few = measured.rows(np.arange(3))
-    nan = measured.rows(np.arange(100))
-    nan.attitude[:] = np.nan
-    late = measured.rows(np.arange(100))
-    late.stamps_ns[:] += 1000 * SECOND
-    unstamped = measured.rows(np.arange(100))
-    unstamped.stamps_ns[:] = 0
-    yield few, '/pose: expected at least 4 messages with a finite attitude', ()
-    yield nan, 'found 0 among 100', ()
-    yield late, '/pose: expected measurements during the motion', ()
-    yield unstamped, 'use --time-source log', ()
-    yield measured, 'expected a topic /mocap, found /torque (geometry_msgs/msg/', (
-        '--measured', '/mocap')
-    yield measured, '/torque: expected geometry_msgs/msg/QuaternionStamped or', (
-        '--measured', '/torque')
-    yield measured, '--measured: expected each topic once', (
-        '--measured', '/pose', '--measured', '/pose')
-    yield measured, "found 'colour'", ('--align', 'clock,colour')
+def shifted(sensor, count, shift_ns):
+    few = sensor.rows(np.arange(count))
+    return replace(few, stamps_ns=few.stamps_ns + shift_ns)
 
 
-@pytest.mark.parametrize('case', range(8))
-def test_bad_input_is_one_line_and_status_2(run, tmp_path, measured, capsys, case):
-    sensor, message, arguments = [*bad_recordings(measured)][case]
+@pytest.mark.slow
+@pytest.mark.parametrize(('count', 'shift_ns', 'arguments', 'message'), [
+    (3, 0, (), '/pose: expected at least 4 messages with a finite attitude'),
+    (9, 1000 * SECOND, (), '/pose: expected measurements during the motion'),
+    (9, 0, ('--measured', '/mocap'), 'expected a topic /mocap, found /torque (geometry_msgs/msg/'),
+    (9, 0, ('--measured', '/torque'),
+     '/torque: expected geometry_msgs/msg/QuaternionStamped or'),
+    (9, 0, ('--measured', '/pose', '--measured', '/pose'),
+     '--measured: expected each topic once')])
+def test_bad_input_is_one_line_and_status_2(run, tmp_path, measured, count, shift_ns, arguments,
+                                            message):
     path = write(tmp_path / 'bad.mcap', torque=torque_messages(truth()),
-                 pose=messages_of('PoseStamped', sensor))
-    try:
-        status, shown, error = run(*arguments, path=path)
-    except SystemExit as exit_:  # argparse raises it
-        status, shown, error = exit_.code, *capsys.readouterr()
-        error = error.splitlines(keepends=True)[-1]
+                 pose=messages_of('PoseStamped', shifted(measured, count, shift_ns)))
+    status, shown, error = run(*arguments, path=path)
     assert (status, shown) == (2, '')
     assert message in error
     assert error.count('\n') == 1
@@ -599,3 +516,5 @@ def test_ambiguous_topics_are_an_error(run, tmp_path, measured):
     assert status == 2
     assert ('found /pose (geometry_msgs/msg/PoseStamped), /imu (sensor_msgs/msg/Imu); choose one '
             'with --measured') in error
+    with pytest.raises(SystemExit, match='2'):
+        run('--align', 'clock,colour', path=path)
