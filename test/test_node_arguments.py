@@ -24,7 +24,7 @@ import pytest
 from rcl_interfaces.srv import ListParameters
 from rigid_body_ros import scene
 from rigid_body_ros.commands import main
-from test_shared_files import SHARED
+from test_scene import SHARED
 
 pytestmark = pytest.mark.ros
 TOPICS = 'torque_topics: expected topics that the node does not use for anything else, found'

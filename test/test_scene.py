@@ -17,10 +17,11 @@
 import subprocess
 import sys
 
-from conftest import CONFIG, ROOT
+from conftest import at_night, CONFIG, ROOT
 import numpy as np
 import pytest
 from rigid_body_ros import scene, State
+from rigid_body_ros.commands import main
 from rigid_body_ros.scene import InputError, Scene
 from rigid_body_ros.scene.parts import at_start
 from robots import robot
@@ -40,9 +41,8 @@ def parameters(body):
 
 
 @pytest.mark.parametrize(('text', 'value'), [
-    ('1e-9', 1e-9), ('1', 1.0), ('1.5E2', 150.0), ('.5', 0.5), ('+3.', 3.0), ('0x10', 16.0),
-    ('010', 8.0), ('0' * 4999 + '1', 1.0), ('0', 0.0),
-    ('99999999999999999999e-19', 9.9999999999999999999)])
+    ('1', 1.0), ('1.5E2', 150.0), ('.5', 0.5), ('+3.', 3.0), ('0x10', 16.0), ('010', 8.0),
+    ('0' * 4999 + '1', 1.0), ('99999999999999999999e-19', 9.9999999999999999999)])
 def test_numbers_are_read_as_rcl_reads_them(tmp_path, text, value):
     found = load(tmp_path, parameters(f'    torque_timeout: {text}'))
     assert found.values['torque_timeout'] == value
@@ -61,15 +61,11 @@ def test_a_node_in_a_namespace_is_found(tmp_path):
     assert load(tmp_path, '\n'.join(lines)).values['inertia.izz'] == 2.5
 
 
-def test_integers_keep_every_digit(tmp_path):
-    found = load(tmp_path, parameters('    start_time: 1767225600123456789'))
-    assert found.start.time_ns == 1767225600123456789
-
-
 def test_nested_and_dotted_names_are_the_same(tmp_path):
     found = load(tmp_path, parameters(
         '    initial_attitude.w: 0\n    initial_attitude: {x: 1}\n'
-        '    initial_angular_velocity:\n      z: 0.5'))
+        '    start_time: 1767225600123456789\n    initial_angular_velocity:\n      z: 0.5'))
+    assert found.start.time_ns == 1767225600123456789
     assert found.start.attitude.tolist() == [1.0, 0.0, 0.0, 0.0]
     assert found.start.angular_velocity.tolist() == [0.0, 0.0, 0.5]
 
@@ -84,14 +80,9 @@ def test_damping_rotors_and_sources_are_read(tmp_path):
     assert found.start.rotor_momentum.tolist() == [0.0, 0.0, -0.5]
     assert found.torque_topics == ('control', '/thrusters/torque')
     assert found.wheels
-
-
-def test_a_plain_scene_has_one_source_and_no_wheels(tmp_path):
-    found = load(tmp_path, parameters(''))
-    assert found.torque_topics == ('torque',)
-    assert not found.wheels
-    assert not found.body.is_damped
-    assert not found.start.rotor_momentum.any()
+    plain = load(tmp_path, parameters(''))
+    assert (plain.torque_topics, plain.wheels, plain.body.is_damped) == (('torque',), False, False)
+    assert not plain.start.rotor_momentum.any()
 
 
 def test_fields_are_read_by_name(tmp_path):
@@ -108,26 +99,18 @@ def test_fields_are_read_by_name(tmp_path):
         found.problem().torque(times_ns, attitude),
         [np.cross([0.1, -1.0, 0.0], [3e-5, 0.0, 0.0])
          + np.cross([0.0, 0.0, -0.2], [0.0, -9.81, 0.0])], rtol=1e-14)
-
-
-def test_an_empty_list_of_fields_is_none_as_rclpy_has_it():
-    assert not Scene.from_values({**INERTIA, 'fields': None}).fields
-    assert not Scene.from_values({**INERTIA, 'fields': []}).fields
+    for empty in (None, []):  # None: an empty list, as rclpy has it
+        assert not Scene.from_values({**INERTIA, 'fields': empty}).fields
 
 
 ORBIT = {'orbit.mean_motion': 1.1e-3, 'orbit.position.x': 0.0, 'orbit.position.y': 0.6,
          'orbit.position.z': 0.8, 'orbit.normal.x': -1.0, 'orbit.normal.z': 0.0}
 
 
-def test_the_position_on_the_orbit_is_that_at_the_start():
-    epoch = State(7_000_000_000)
-    orbit, = Scene.from_values({**INERTIA, **ORBIT}).problem(epoch).fields
-    assert orbit.time_ns == epoch.time_ns
-    np.testing.assert_allclose(orbit.position, [0.0, 0.6, 0.8], rtol=1e-15)
-
-
 def test_a_later_epoch_has_the_position_since_start_time_with_the_bits_of_its_dump():
     begin_ns, quarter_ns = 10 ** 9, round(0.5 * np.pi / 1.1e-3 * 1e9)
+    first, = Scene.from_values({**INERTIA, **ORBIT}).problem(State(begin_ns)).fields
+    np.testing.assert_allclose(first.position, [0.0, 0.6, 0.8], rtol=1e-15)
     run = Scene.from_values({**INERTIA, **ORBIT, 'start_time': begin_ns})
     epoch = State(begin_ns + quarter_ns)
     orbit, = run.problem(epoch).fields
@@ -156,19 +139,12 @@ def test_a_parameter_that_is_given_twice_is_rejected_with_its_lines(tmp_path, te
         load(tmp_path, parameters(text))
 
 
-def test_what_a_file_says_twice_of_other_nodes_is_not_read(tmp_path):
-    load(tmp_path, parameters('camera:\n  ros__parameters: {gain: 1, gain: 2}'))
-
-
-def test_quoted_text_stays_text(tmp_path):
-    assert load(tmp_path, parameters('    body_frame: "1"')).values['body_frame'] == '1'
-
-
 def test_parameters_of_the_node_come_on_top_of_those_for_all(tmp_path):
     found = load(tmp_path, 'attitude_node:\n  ros__parameters: {tolerance: 1e-6}\n'
-                 + parameters('    tolerance: 1e-3\n')
-                 + '/camera:\n  ros__parameters: {exposure: 3}\n')
+                 + parameters('    tolerance: 1e-3\n    body_frame: "1"\n')
+                 + '/camera:\n  ros__parameters: {gain: 3, gain: 3}\n')
     assert found.values['tolerance'] == 1e-6
+    assert found.values['body_frame'] == '1'  # quoted text stays text
 
 
 def test_a_dump_of_a_renamed_node_is_taken_alone(tmp_path):
@@ -220,11 +196,8 @@ def test_a_scene_is_printed_with_units(tmp_path):
 @pytest.mark.parametrize(('change', 'message'), [
     ({'inertia.ixx': '1.0'}, r"inertia.ixx: expected a number \(kg m\^2\), found '1.0'; remove "
                              'the quotes'),
-    ({'inertia.ixx': 'one'}, r"inertia.ixx: .*found 'one': moment of inertia about the centre of"),
     ({'inertia': [1.0, 2.0]}, r'inertia: expected a group of ixx, iyy, .*iyz, found \[1.0, 2.0\]'),
-    ({'initial_angular_velocity': 1.0}, 'velocity: expected a group of x, y, z, found 1.0'),
     ({'inertia.ixx': True}, r'inertia.ixx: expected a number \(kg m\^2\), found True'),
-    ({'inertia.ixx': [1.0]}, r'inertia.ixx: expected a number \(kg m\^2\), found \[1.0\]'),
     ({'inertia.ixx': -1.0}, r'inertia.ixx: expected a finite number greater than 0 .*found -1.0'),
     ({'inertia.ixy': float('nan')}, 'inertia.ixy: expected a finite number .*found nan'),
     ({'inertia.izz': 4.0}, 'moments 1, 2, 4 kg m.*sum of the other two'),
@@ -232,7 +205,6 @@ def test_a_scene_is_printed_with_units(tmp_path):
     ({'inertia.ixz_': 3.0}, 'inertia.ixz_: unknown key; did you mean inertia.ixz?'),
     ({'inertia.mass': 3.0}, 'inertia.mass: unknown key; expected a member of inertia: ixx, iyy, '),
     ({'initial_attitude.w': 0.0}, 'attitude quaternion .*expected a non-zero'),
-    ({'initial_angular_velocity.x': float('inf')}, 'initial_angular_velocity.x: .*rad/s.*inf'),
     ({'start_time': 0.5}, r'start_time: expected an integer \(ns\), found 0.5'),
     ({'solver': 'rk5'}, "solver: expected one of auto, taylor, exact, .* found 'rk5'"),
     ({'solver': 'rk4'}, "max_step: solver 'rk4' requires a step length, .*found none"),
@@ -243,57 +215,38 @@ def test_a_scene_is_printed_with_units(tmp_path):
     ({'use_sim_timeX': 3}, 'use_sim_timeX: unknown key'),
     ({'start_time': 2.0 ** 70}, 'start_time: expected an integer'),
     ({'space_frame': '\ud800'}, 'space_frame: expected text without control characters'),
-    ({'body_frame': '\x1b[2J'}, r"body_frame: expected .* control characters, found '\\x1b\[2J'"),
     ({'body_frame': 'a\n'}, r"body_frame: expected text without control .*, found 'a\\n'"),
     ({'checkpoint': '\0'}, r"checkpoint: expected text without control characters, found '\\x00'"),
-    ({'torque_topics': ['a\n']}, r"torque_topics: expected names of topics .*, found 'a\\n'"),
     ({'damping.dxx': -1e-3}, 'damping.dxx: expected a finite number not less than 0'),
-    ({'damping.dxy': float('inf')}, r'damping.dxy: expected a finite number \(N m s/rad\), '
-                                    'found inf'),
     ({'damping.dxx': 1.0, 'damping.dyy': 1.0, 'damping.dxy': 2.0},
      'damping.dxx .* damping.dyz: expected a tensor without negative eigenvalues, .* -1 N m s'),
     ({'damping.dxx': 1e300, 'inertia.ixx': 1e-20, 'inertia.iyy': 1e-20, 'inertia.izz': 1e-20},
      'damping.dxx .* damping.dyz: expected entries whose quotients by the moments'),
-    ({'damping': 1.0}, 'damping: expected a group of dxx, dyy, dzz, dxy, dxz, dyz, found 1.0'),
-    ({'initial_rotor_momentum.y': float('nan')}, 'initial_rotor_momentum.y: expected a finite '
-                                                 r'number \(N m s\), found nan'),
     ({'solver': 'exact', 'wheels': True}, "solver 'exact' .* rotors"),
-    ({'solver': 'exact', 'damping.dzz': 0.1}, "solver 'exact' .* damping"),
     ({'solver': 'strang', 'max_step': 0.1, 'initial_rotor_momentum.x': 1.0},
      "solver 'strang' .* rotors"),
     ({'wheels': 1}, 'wheels: expected true or false, found 1'),
     ({'torque_topics': None}, 'torque_topics: expected a list of text, found none'),
-    ({'torque_topics': 'torque'}, "torque_topics: expected a list of text, found 'torque'"),
     ({'torque_topics': []}, 'torque_topics: expected at least one topic, found an empty list'),
     ({'torque_topics': ['a', 'b', 'a']}, "torque_topics: expected each topic once, found 'a' "
                                          'twice'),
     ({'torque_topics': ['a', 3]}, r'torque_topics: expected names of topics \(.*\), found 3'),
-    ({'torque_topics': ['a b']}, r"torque_topics: expected names of topics \(.*\), found 'a b'"),
-    ({'frame_prefix': 'a\0'}, r"frame_prefix: expected text .*, found 'a\\x00'"),
     ({'frame_prefix': 'one/', 'space_frame': 'one/base_link'}, 'expected different names'),
     ({'body_frame': 'world'}, "space_frame, body_frame: expected different names,.*'world' twice"),
-    ({'fields': 'pivot'}, "fields: expected a list of text, found 'pivot'"),
-    ({'fields': [1]}, 'fields: expected names of letters, digits and _, found 1'),
     ({'fields': ['a.b']}, "fields: expected names of letters, digits and _, found 'a.b'"),
     ({'fields': ['a', 'a']}, "fields: expected each name once, found 'a' twice"),
     ({'fields': ['orbit']}, 'fields: expected a name with which no other .* begins, found .orbit'),
-    ({'fields': ['use_sim_time']}, 'fields: expected a name with which no other parameter begins'),
-    ({'feilds': ['pivot']}, 'feilds: unknown key; did you mean fields?'),
     ({'fields': ['pivot'], 'pivto.moment.z': 1.0},
      'pivto.moment.z: unknown key; did you mean pivot.moment.z?'),
     ({'fields': ['pivot'], 'pivot.mass': 1.0},
      'pivot.mass: unknown key; expected a member of pivot: moment.x, '),
     ({'fields': ['magnet'], 'pivot.moment.z': 1.0},
      "pivot.moment.z: expected 'pivot' among the names in fields, found magnet"),
-    ({'pivot.field.x': 1.0}, "pivot.field.x: expected 'pivot' among the names in fields, found "
-                             'none'),
     ({'fields': ['pivot'], 'pivot.field.z': -9.81},
      'pivot.moment: expected pivot.moment.x, .y or .z other than 0, found zeros'),
     ({'fields': ['pivot'], 'pivot.moment.z': 0.2}, 'pivot.field: expected .* found zeros'),
-    ({**PIVOT, 'pivot.moment.x': 'one'}, r'pivot.moment.x: expected a number \(kg m or A m\^2\)'),
     ({**PIVOT, 'solver': 'exact'}, "solver 'exact' handles torque-free motion only, found fields"),
     ({'orbit.mean_motion': -1.0}, r'orbit.mean_motion: expected .* not less than 0 \(rad/s\)'),
-    ({'orbit.mean_motoin': 1.0}, 'orbit.mean_motoin: unknown key; did you mean orbit.mean_'),
     ({'orbit.mean_motion': 1e-3, 'orbit.position.z': 1.0},
      'orbit: position and normal: expected directions at right angles'),
     ({'orbit.mean_motion': 1e-3, 'orbit.position.x': 0.0},
@@ -315,14 +268,10 @@ def test_invalid_values_are_rejected_with_name_and_value(change, message):
      'two by 1 %, which no body can have; are the numbers rounded?')])
 def test_a_value_that_is_probably_a_mistake_gives_a_warning(given, warning):
     assert Scene.from_values({**INERTIA, **given}).warnings == [warning]
-
-
-@pytest.mark.parametrize('given', [
-    {}, {'initial_angular_velocity.z': 9.9},
-    {'initial_angular_velocity.z': 90.0, 'plausible_speed': 90.0},
-    {'initial_attitude.x': 0.707, 'initial_attitude.w': 0.707}])  # three digits, as people write
-def test_an_ordinary_scene_gives_no_warning(given):
-    assert Scene.from_values({**INERTIA, **given}).warnings == []
+    assert Scene.from_values({
+        **INERTIA, 'initial_angular_velocity.z': 90.0, 'plausible_speed': 90.0,
+        # Three digits, as people write.
+        'initial_attitude.x': 0.707, 'initial_attitude.w': 0.707}).warnings == []
 
 
 def test_notes_name_the_links_that_are_welded_and_those_that_move():
@@ -344,38 +293,23 @@ def test_notes_name_the_links_that_are_welded_and_those_that_move():
     assert Scene.from_values({'robot_description': robot(*joints, body='hull')}).notes == []
 
 
-def test_a_missing_moment_is_named_with_its_unit():
-    with pytest.raises(InputError, match=r'inertia.izz: expected a number .kg m\^2., found none'):
-        Scene.from_values({'inertia.ixx': 1.0, 'inertia.iyy': 2.0})
-
-
 @pytest.mark.parametrize(('text', 'message'), [
     ('', r'the file: expected keys and values .*, found nothing'),
-    ('- 1', r'the file: expected keys and values .*, found a list'),
     ('a: [', 'expected YAML'),
     ('inertia: {ixx: 1.0}', r'inertia: expected /\*\*: and ros__parameters: above the '
      'parameters of a node, found ixx: 1.0'),
-    ('a:\n  ros__parameters: {}\nb:\n  ros__parameters: {}',
-     r'expected parameters for /\*\* or for one attitude_node, found parameters for a, b'),
     ('/a/attitude_node:\n  ros__parameters: {}\n/b/attitude_node:\n  ros__parameters: {}',
      'expected .* for one attitude_node, found .* for a/attitude_node, b/attitude_node'),
     ('/**: {ros__parameters: {inertia: &a {ixx: 1.0}, other: *a}}',
      'expected YAML without aliases'),
     (parameters('    <<: {izz: 3.0}\n'), r'expected YAML without .* merge keys \(<<\), which ROS '
      'parameter files do not have, found one in line 4'),
-    ('[' * 2000, 'expected YAML'),
     ('/**:\n  ? [1]\n  : 2', r'\*\*: expected names as keys, found a list as a key in line 2'),
     ('/**: 3', r"\*\*: expected keys and values .*, found '3'"),
-    ('/**: {inertia: {}}', r'expected parameters for /\*\* .*found parameters for no node'),
     ('/**: {ros__parameters: 3}', 'ros__parameters: expected keys and values')])
 def test_a_file_that_is_not_a_scene_is_rejected_by_name(tmp_path, text, message):
     with pytest.raises(InputError, match=f'scene.yaml: {message}'):
         load(tmp_path, text)
-
-
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(InputError, match='none.yaml: cannot read the scene: No such file'):
-        scene.load(tmp_path / 'none.yaml')
 
 
 @pytest.mark.nightly
@@ -388,3 +322,77 @@ def test_mypy_finds_a_misspelt_parameter(tmp_path):
     assert '"Scene" has no attribute "publish_rates"' in result.stdout, result.stderr
     module.write_text(module.read_text().replace('rates', 'rate'))
     subprocess.run([sys.executable, '-m', 'mypy', str(module)], cwd=ROOT, check=True)
+
+
+# Files that several nodes share
+
+#: Names of parameters in common stacks.
+FOREIGN = (
+    'rate', 'frame_id', 'update_rate', 'controller.kp', 'publish_frequency', 'publish_cloud',
+    'model', 'node', 'steps', 'links', 'base_frame', 'odom_frame', 'map_frame', 'world_frame',
+    'mass', 'gravity', 'max_speed', 'xy_goal_tolerance', 'initial_altitude', 'stop_time',
+    'diagnostic_updater.use_fqn', 'use_tf_static', 'tf_prefix', 'body.inertia.ixx')
+SHARED = """\
+/**:
+  ros__parameters:
+    use_sim_time: false
+    rate: 50.0
+    plugins: []
+    qos_overrides: {/scan: {subscription: {reliability: best_effort}}}
+    controller: {kp: 2.0, gains: [1.0, 2.0]}
+/camera:
+  ros__parameters: {torque_timout: 1.0}
+/attitude_node:
+  ros__parameters:
+    frame_id: imu
+    inertia: {ixx: 1.0, iyy: 2.0, izz: 2.5}
+"""
+
+
+def test_keys_of_other_nodes_are_ignored_and_noted():
+    for name in FOREIGN:
+        found = Scene.from_values({**INERTIA, name: 3})
+        assert found.values == Scene.from_values(INERTIA).values
+        assert found.ignored == (name,)
+        assert found.notes == [f'parameters that are not those of a scene are ignored: {name}']
+    given = {**INERTIA, 'use_sim_time': True, 'qos_overrides./torque.subscription.depth': 5}
+    assert Scene.from_values(given).notes == []
+
+
+@pytest.mark.parametrize(('name', 'meant'), [
+    ('torque_timout', 'torque_timeout'), ('Inertia.ixx', 'inertia.ixx'),
+    ('inital_attitude.x', 'initial_attitude.x'), ('inertia_ixx', 'inertia.ixx'),
+    ('inertai.ixx', 'inertia.ixx'), ('histroy', 'history'), ('publishRate', 'publish_rate'),
+    ('publish-rate', 'publish_rate'), ('solvers', 'solver'), ('use_sim_tme', 'use_sim_time'),
+    ('feilds', 'fields')])
+def test_a_misspelt_key_is_an_error_that_names_the_key(name, meant):
+    with pytest.raises(InputError) as caught:
+        Scene.from_values({**INERTIA, name: 3})
+    assert str(caught.value) == f'{name}: unknown key; did you mean {meant}?'
+
+
+@pytest.mark.parametrize('section', ['/**', '/attitude_node'])
+def test_a_misspelt_key_is_an_error_in_every_section(tmp_path, section):
+    path = tmp_path / 'shared.yaml'
+    path.write_text(f'{SHARED}{section}:\n  ros__parameters: {{max_futur: 0.1}}\n')
+    with pytest.raises(InputError, match='max_futur: unknown key; did you mean max_future'):
+        scene.load(path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('command', ['replay', *at_night('tradeoff')])
+def test_every_command_notes_keys_of_other_nodes_once(tmp_path, capsys, command):
+    path, recording = tmp_path / 'shared.yaml', tmp_path / 'torques.csv'
+    path.write_text(SHARED)
+    recording.write_text('time,tx,ty,tz\n0.0,0.1,0.0,0.0\n0.1,0.0,0.0,0.0\n')
+    run = {'replay': lambda: main.attitude_replay([str(recording), '--scene', str(path)]),
+           'tradeoff': lambda: main.attitude_tradeoff(['--recording', str(recording), '--scene',
+                                                      str(path), '--target', '0.1'])}[command]
+    assert run() == 0
+    assert capsys.readouterr().err == (
+        f'attitude_{command}: note: {path}: parameters that are not those of a scene are '
+        'ignored: rate, plugins, controller.kp, controller.gains, frame_id\n')
+    path.write_text(SHARED.replace('frame_id', 'body_frames'))
+    assert run() == 2
+    assert capsys.readouterr().err == (
+        f'attitude_{command}: error: {path}: body_frames: unknown key; did you mean body_frame?\n')
