@@ -43,10 +43,12 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble import worst
 from rigid_body_ros.ensemble.controller import Controller
 from rigid_body_ros.ensemble.dispersions import Dispersion
+from rigid_body_ros.ensemble.requirements import Requirement
 from rigid_body_ros.ensemble.runs import Ensemble
-from rigid_body_ros.ensemble.summary import _explained, interval, Requirement
+from rigid_body_ros.ensemble.summary import _explained, interval
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.scene import load, Scene
 from scipy.stats import binomtest
 from test_ensemble import contents
@@ -331,9 +333,10 @@ def test_another_controller_is_refused(tmp_path, monkeypatch, capsys):
     assert 'expected the controller of its runs' in error_of(capsys, arguments)
 
 
-@pytest.mark.parametrize('text', ['', 'rate < nan', 'speed < 1', 'rate = 1'])
+@pytest.mark.parametrize('text', ['', 'rate < nan', 'speed < 1', 'rate = 1', 'rate < 1 deg',
+                                  'angle < 1 after -1 s'])
 def test_what_is_no_requirement_is_one_line(tmp_path, capsys, text):
-    assert "such as 'rate < 0.05', found" in error_of(
+    assert "such as 'rate < 0.05' or 'angle < 1 deg after 60 s', found" in error_of(
         capsys, given(tmp_path, 'controllers:damp', '--require', text))
 
 
@@ -344,8 +347,28 @@ def test_the_interval_is_that_of_clopper_and_pearson(met, runs):
 
 
 def test_requirements_are_read():
-    assert Requirement.read('rate<=1e-3') == Requirement('rate', '<=', 1e-3)
+    assert Requirement.read('rate<=1e-3') == Requirement('rate', '<=', 1e-3, 'rad/s')
     assert str(Requirement.read(' angle > 0.5 ')) == 'angle > 0.5'
+    assert Requirement.read('angle<1deg after 60s') == Requirement('angle', '<', 1, 'deg', 60)
+
+
+def test_requirements_that_last_are_those_of_dense_samples():
+    lasting = replace(ensemble('damp', *VARY), requirements=tuple(map(Requirement.read, (
+        'rate < 34 deg/s after 0.7 s', 'angle_from_nominal <= 0.1 after 1 s',
+        'rate >= 0.55 after 0 s'))))
+    rows, (_, nominal) = lasting.rows(0, 8), lasting._nominal
+    at = np.arange(0, END_NS + 1, 10 ** 6)
+    for run in range(8):
+        motion = lasting.replayed(run)[0].propagate(at=at)
+        rate = np.linalg.norm(motion.angular_velocity, axis=1)
+        angle = so3.angle_between(motion.attitude, nominal.propagate(at=at).attitude)
+        for requirement, excess, first in zip(
+                lasting.requirements, (np.degrees(rate) - 34.0, angle - 0.1, 0.55 - rate),
+                (700, 1000, 0)):
+            settled, overshoot = (rows[name][run] for name in requirement.columns)
+            violated = np.flatnonzero(excess > 0.0)
+            assert 0.0 <= settled - 1e-3 * violated.max(initial=0) <= 1e-3
+            assert -1e-12 <= overshoot - excess[first:].max() <= 1e-4
 
 
 def test_effects_count_whether_they_are_odd_or_even():

@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from functools import partial
 import os
 from pathlib import Path
@@ -32,6 +33,7 @@ from rigid_body_ros.runtime.terminal import progress
 
 if TYPE_CHECKING:
     from rigid_body_ros.ensemble.driver import Pool
+    from rigid_body_ros.ensemble.requirements import Requirement
     from rigid_body_ros.ensemble.runs import Ensemble
     from rigid_body_ros.propagation import Problem
     from rigid_body_ros.report.report import Report
@@ -44,15 +46,16 @@ FINAL = 'final'
 def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.ensemble import driver, report, summary, worst
     from rigid_body_ros.ensemble.folder import opened
+    from rigid_body_ros.ensemble.requirements import Requirement
     with located('--require', InputError):
-        requirements = [summary.Requirement.read(text) for text in options.require]
+        requirements = [Requirement.read(text) for text in options.require]
     with checked(options) as outputs:
         scene = load_scene(options)
-        ensemble = _ensemble(options, scene)
+        ensemble = _ensemble(options, scene, requirements)
         identity = driver.identity_of(ensemble, scene, options.times)
         with opened(options.output, identity, ensemble.columns, options.runs, ensemble.times,
                     note=partial(note, options)) as folder:
-            driver.compute(ensemble, folder, _pool(options), progress(
+            driver.compute(ensemble, folder, _pool(options, ensemble), progress(
                 'runs', ' runs', lambda rows: len(rows['run'])))
             results = summary.summarized(ensemble, folder, requirements)
             worst.write(folder.path / worst.FOLDER, ensemble, scene, {
@@ -84,16 +87,17 @@ def _draw(options: argparse.Namespace, path: Path, report: Report) -> None:
         draw(temporary, report)
 
 
-def _pool(options: argparse.Namespace) -> Pool:
+def _pool(options: argparse.Namespace, ensemble: Ensemble) -> Pool:
     from rigid_body_ros.runtime.cluster import connected
     from rigid_body_ros.runtime.pool import Processes, Workers
     if options.scheduler:
         return connected(options.scheduler, partial(note, options))
-    # Runs without a controller release the global interpreter lock.
-    return (Processes if options.controller else Workers)(options.workers or os.cpu_count() or 1)
+    # Other runs release the global interpreter lock.
+    return (Processes if ensemble.in_python else Workers)(options.workers or os.cpu_count() or 1)
 
 
-def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
+def _ensemble(options: argparse.Namespace, scene: Scene,
+              requirements: Sequence[Requirement]) -> Ensemble:
     from rigid_body_ros.ensemble.controller import Controller, ControllerError
     from rigid_body_ros.ensemble.dispersions import load_varied
     from rigid_body_ros.ensemble.motions import times_of
@@ -102,6 +106,12 @@ def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
     if estimates and estimates.ignored:
         note(options, f'{options.vary}: {listed(estimates.ignored)}: no effect on the motion')
     problem, end_ns = _problem(options, scene)
+    seconds = (end_ns - problem.start.time_ns) / 1e9
+    lasting = tuple(one for one in requirements if one.after is not None)
+    for one in lasting:
+        if (one.after or 0.0) >= seconds:
+            raise InputError(f'--require: {one} {one.unit}: expected a time before the end of the '
+                             f'runs ({seconds:g} s), found after {one.after:g} s')
     times_ns = None if options.times == FINAL else \
         times_of(problem.start.time_ns, end_ns, options.times)
     controller = None
@@ -115,7 +125,8 @@ def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
             actuator = next(filter(None, scene.actuators or ()), None)  # the same for all topics
             controller = Controller.load(options.controller,
                                          max(1, duration_ns(scene.step, 'step')), actuator)
-        ensemble = Ensemble(problem, end_ns, varied, options.seed, estimates, times_ns, controller)
+        ensemble = Ensemble(problem, end_ns, varied, options.seed, estimates, times_ns, controller,
+                            lasting)
     try:
         ensemble.check()
     except ControllerError as error:

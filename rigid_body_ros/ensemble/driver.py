@@ -41,7 +41,7 @@ if TYPE_CHECKING:  # never imported at run time, so that workers need neither Pa
 Pool = AbstractContextManager[Workers]
 
 #: Maximum number of runs in a block if there is a controller, because a run with a controller
-#: takes about a second.
+#: takes about a second, or if there are requirements that hold from some time on.
 _IN_LOOP = 16
 
 
@@ -58,6 +58,7 @@ def identity_of(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[st
         'recording': recording_hash(problem), 'start_ns': problem.start.time_ns,
         'end_ns': ensemble.end_ns, 'times': times,
         **({'controller': f'{controller.name} {controller.digest}'} if controller else {}),
+        **({'require': list(ensemble._results)} if ensemble.requirements else {}),
         'versions': {**fingerprint(), 'scipy': version('scipy')}})))
 
 
@@ -86,7 +87,7 @@ def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> Non
         A signal was received. The folder keeps all blocks that were already complete.
 
     """
-    spans = folder.missing(_IN_LOOP if ensemble.controller else None)
+    spans = folder.missing(_IN_LOOP if ensemble.in_python else None)
     if spans:
         with pool as workers:
             blocks = workers.results(partial(_rows, ensemble), _divided(spans, workers), _died)

@@ -248,11 +248,12 @@ class Folder:
             runs = int(before['runs'])
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise InputError(f'{record}: cannot read the ensemble: {reason(error)}') from error
-        for name, value in identity.items():
-            if before.get(name) != value:
+        for name in {**identity, **before}:
+            found, expected = identity.get(name), before.get(name)
+            if name != 'runs' and found != expected:
                 raise InputError(f'{self.path}: expected the {name} of its runs, '
-                                 f'{quoted(before.get(name))}, found {quoted(value)}; choose '
-                                 'another folder')
+                                 f'{quoted(expected)}, found {quoted(found)}; choose another '
+                                 'folder')
         if runs > self.runs:
             raise InputError(f'{self.path}: expected at least the {runs} runs that it was begun '
                              f'with, found {self.runs}; choose another folder')

@@ -22,7 +22,7 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-from rigid_body_ros.ensemble.runs import ANGLE
+from rigid_body_ros.ensemble.requirements import ANGLE
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.report import Markup, Report, table
 from rigid_body_ros.report.text import lines
@@ -73,13 +73,26 @@ def required(requirement: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return rows of the form (name, text) that say how well the runs meet a requirement."""
     share, low, high = (f'{100.0 * share:.3g} %' for share in (
         requirement['share'], *requirement['interval_95']))
-    limit, unit = requirement['require'], requirement['unit']
-    facts = [('required', f'{limit} {unit}: met by {share} of the runs (95 % interval {low} to '
-              f'{high})')]
+    facts = [('required', f'{_limit(requirement)}: met by {share} of the runs (95 % interval '
+              f'{low} to {high})')]
     if requirement['percentiles']:
-        spread = _spread(requirement['percentiles'], unit)
-        facts.append(('', f'{limit.split()[0]} at the end: {spread}'))
+        spread = _spread(requirement['percentiles'], requirement['unit'])
+        facts.append(('', f'{_judged(requirement)}: {spread}'))
+        if 'after_s' in requirement:
+            facts.append(('', f'settling time: {_spread(requirement["settling_time_s"], "s")}'))
     return facts
+
+
+def _limit(requirement: Mapping[str, Any]) -> str:
+    """Return a requirement as text."""
+    after = f' after {requirement["after_s"]:.12g} s' if 'after_s' in requirement else ''
+    return f'{requirement["require"]} {requirement["unit"]}{after}'
+
+
+def _judged(requirement: Mapping[str, Any]) -> str:
+    """Return the name of the number that decides whether a run meets a requirement."""
+    return 'overshoot' if 'after_s' in requirement else \
+        f'{requirement["require"].split()[0]} at the end'
 
 
 def _named(name: str, texts: Sequence[str]) -> list[tuple[str, str]]:
@@ -136,8 +149,8 @@ def _headline(results: Mapping[str, Any]) -> str:
     If there are no requirements, the headline gives the final angles from the nominal attitude.
     """
     runs, angles = results['runs'], results['angle_from_nominal_rad']
-    said = [f'{100.0 * requirement["share"]:.3g} % of {runs} runs meet {requirement["require"]} '
-            f'{requirement["unit"]}' for requirement in results.get('requirements', ())]
+    said = [f'{100.0 * requirement["share"]:.3g} % of {runs} runs meet {_limit(requirement)}'
+            for requirement in results.get('requirements', ())]
     if not said and angles:
         said = [f'half of {runs - results["failed"]} runs end within {angles["p50"]:.3g} rad of '
                 f'the nominal attitude, 95 % within {angles["p95"]:.3g} rad']
@@ -157,7 +170,7 @@ def _tables(requirement: Mapping[str, Any], replay: Callable[[int], str]) -> Ite
     worst = [(str(run['run']), f'{run["value"]:.3g} {unit}', replay(run['run']))
              for run in requirement['worst']]
     if worst:
-        yield table((f'worst run: {limit}', 'at the end', 'computed again by'), worst)
+        yield table((f'worst run: {limit}', _judged(requirement), 'computed again by'), worst)
 
 
 def _bars(name: str, number: str, shares: Sequence[tuple[str, float]]) -> Iterator[str]:
@@ -179,11 +192,11 @@ def panels_of(results: Mapping[str, Any]) -> Iterator[Panel]:
         yield _bins(histogram['edges_rad'], histogram['runs'], results['angle_from_nominal_rad'],
                     'angle from the nominal final attitude', 'rad')
     for requirement in results.get('requirements', ()):
-        quantity, _, limit = requirement['require'].split()
+        limit = 0.0 if 'after_s' in requirement else float(requirement['require'].split()[-1])
         if requirement['histogram']:
             panel = _bins(**requirement['histogram'], percentiles=requirement['percentiles'],
-                          label=f'{quantity} at the end', unit=requirement['unit'])
-            yield replace(panel, lines={**panel.lines, 'limit': float(limit)})
+                          label=_judged(requirement), unit=requirement['unit'])
+            yield replace(panel, lines={**panel.lines, 'limit': limit})
 
 
 def _bins(edges: Sequence[float], runs: Sequence[int], percentiles: Mapping[str, float],

@@ -42,6 +42,7 @@ from rigid_body_ros.ensemble.dispersions import (
     units_with,
 )
 from rigid_body_ros.ensemble.motions import COMPONENTS
+from rigid_body_ros.ensemble.requirements import ANGLE, Requirement
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.efforts import EffortLog
 from rigid_body_ros.mechanics.fields import UniformField
@@ -52,7 +53,7 @@ from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene.parts import values_of
 
 _START = units_of('inertia', 'initial_attitude', 'initial_angular_velocity')
-ANGLE, MOTION = 'angle_from_nominal', 'motion'
+MOTION = 'motion'
 _END = {**COMPONENTS, ANGLE: 'rad'}
 
 #: Limits for the runs that are computed at once. `_AT_ONCE` limits the number of runs. `_STEPS`
@@ -68,9 +69,9 @@ _AT_ONCE, _STEPS, _SAMPLES, _STATES = 4096, 2 ** 22, 2 ** 20, 2 ** 18
 Columns = dict[str, NDArray[Any]]
 #: The first run of a block, and the run after its last run.
 Span = tuple[int, int]
-#: The motions of n runs, shape (n, m, 7), and a message for each run. The message is empty if the
-#: run did not fail.
-_Motions = tuple[Floats, list[str]]
+#: The motions of n runs, shape (n, m, 7), a message for each run, and the results of the
+#: requirements, shape (n, k). The message is empty if the run did not fail.
+_Motions = tuple[Floats, list[str], Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +100,8 @@ class Ensemble:
     controller : Controller, optional
         A controller that returns a torque for each state. A dispersed torque gain or torque noise
         applies both to the controller's torque and to the recorded torques.
+    requirements : tuple of Requirement
+        Requirements that hold from some time on. Their results are columns.
 
     Raises
     ------
@@ -116,6 +119,7 @@ class Ensemble:
     fitted: Fitted | None = None
     times_ns: Ints | None = None
     controller: Controller | None = None
+    requirements: tuple[Requirement, ...] = ()
 
     def __post_init__(self) -> None:
         for dispersion in self.dispersions:
@@ -132,6 +136,11 @@ class Ensemble:
             if self.problem.changes and key.split('.')[0] in (INERTIA, 'damping'):
                 raise InputError(f'{key}: expected a body that does not change, found '
                                  f'{len(self.problem.changes)} changes')
+
+    @property
+    def in_python(self) -> bool:
+        """Return whether Python code takes most of the time of a run."""
+        return bool(self.controller or self.requirements)
 
     @property
     def keys(self) -> list[str]:
@@ -195,12 +204,22 @@ class Ensemble:
 
     @cached_property
     def columns(self) -> dict[str, str]:
-        """Return the unit of each numeric column: first the parameters, then the final state."""
+        """
+        Return the unit of each numeric column.
+
+        The parameters come first, then the final state, and the results of the requirements.
+        """
         names = [field.name for field in self.problem.fields
                  if isinstance(field, UniformField) and field.name]
         more = {key: unit for key, unit in units_with(names).items()
                 if key in self.keys and key not in _START}
-        return {**_START, **more, **_END}
+        return {**_START, **more, **_END, **self._results}
+
+    @property
+    def _results(self) -> dict[str, str]:
+        """Return the unit of each result of the requirements."""
+        return {name: unit for requirement in self.requirements
+                for name, unit in requirement.columns.items()}
 
     def rows(self, first: int, stop: int) -> Columns:
         """
@@ -320,12 +339,13 @@ class Ensemble:
         # Suppress warnings about infinite values and NaN, which the messages of the runs report.
         with np.errstate(over='ignore', invalid='ignore'):
             applied = self.applied(runs)
-            motions, messages = self._motions(applied)
+            motions, messages, results = self._motions(applied)
         failed = np.array([bool(message) for message in messages])
         end, angle = motions[:, -1], np.full(len(runs), np.nan)
         angle[~failed] = so3.angle_between(end[~failed, :4], self.nominal_motion[-1, :4])
         numbers = {**applied.columns(), **components('attitude', end[:, :4]),
-                   **components('angular_velocity', end[:, 4:]), ANGLE: angle}
+                   **components('angular_velocity', end[:, 4:]), ANGLE: angle,
+                   **dict(zip(self._results, results.T))}
         return {'run': runs, 'status': np.where(failed, 'failed', 'ok'),
                 'message': np.array(messages),
                 **{name: np.where(failed, np.nan, numbers[name]) for name in self.columns},
@@ -342,19 +362,25 @@ class Ensemble:
         rows = np.flatnonzero([not message for message in messages])
         if len(rows) == len(messages):
             return self._computed(applied)
-        motions = np.full((len(messages), len(self._at), 7), np.nan)
+        motions, results = self._unknown(len(messages))
         if len(rows):
-            motions[rows], of_rows = self._computed(self.applied(applied.runs[rows]))
+            motions[rows], of_rows, results[rows] = self._computed(
+                self.applied(applied.runs[rows]))
             for row, message in zip(rows.tolist(), of_rows):
                 messages[row] = message
-        return motions, messages
+        return motions, messages, results
+
+    def _unknown(self, runs: int) -> tuple[Floats, Floats]:
+        """Return arrays for motions and results, filled with NaN."""
+        return (np.full((runs, len(self._at), 7), np.nan),
+                np.full((runs, len(self._results)), np.nan))
 
     @cached_property
     def _reach(self) -> Reach:
         return Reach(self.problem, self.end_ns, self._noise, self._without)
 
     def _computed(self, applied: Applied) -> _Motions:
-        if not (self.controller or self.problem.changes or self.problem.named_wheels
+        if not (self.in_python or self.problem.changes or self.problem.named_wheels
                 or self.problem.actuators):
             with suppress(ValueError):  # otherwise, find out which of the runs fail, and why
                 return self._together(applied)
@@ -374,19 +400,24 @@ class Ensemble:
             fields=applied.fields if self._of_fields else self.problem.fields,
             torque_gains=gains, **asdict(self.problem.options))
         return np.concatenate([motions.attitude, motions.angular_velocity], axis=-1), [
-            message and reason(ValueError(message)) for message in motions.messages]
+            message and reason(ValueError(message)) for message in motions.messages
+        ], np.empty((count, 0))
 
     def _one_by_one(self, applied: Applied) -> _Motions:
-        motions, messages = np.full((len(applied.runs), len(self._at), 7), np.nan), []
+        messages = list[str]()
+        motions, results = self._unknown(len(applied.runs))
         for row in range(len(applied.runs)):
             interrupts.check()
             try:
-                motions[row] = self.solved(applied, row)[0]
+                motion, problem = self.solved(applied, row)
+                results[row] = [number for requirement in self.requirements for number in
+                                requirement.measured(problem, self.end_ns, self._nominal[1])]
+                motions[row] = motion
                 messages.append('')
             except ValueError as error:
                 run = f'run {applied.runs[row]}: ' if self.controller else ''
                 messages.append(reason(ValueError(f'{run}{error}')))
-        return motions, messages
+        return motions, messages, results
 
     def solved(self, applied: Applied, row: int) -> tuple[Floats, Problem]:
         """

@@ -18,20 +18,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
 from itertools import zip_longest
 import math
-import operator
 import re
 from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats, Ints
-from rigid_body_ros.common.errors import CUT, InputError, quoted
+from rigid_body_ros.common.errors import CUT
 from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.motions import Motions
-from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
+from rigid_body_ros.ensemble.requirements import ANGLE, Requirement
+from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.mechanics import so3
 
 #: The percentiles of the final states that are reported, and those of the angles over time.
@@ -56,84 +54,45 @@ _NUMBER = re.compile(r'(?<![\w^.])[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|inf|nan)(?![\w
 #: placeholders.
 _OTHER = '...'
 _OTHERS = re.compile(r'\.\.\.(, \.\.\.)+')
-#: The quantities that a requirement can limit, and their units.
-UNITS = {'rate': 'rad/s', 'angle': 'rad', ANGLE: 'rad'}
 #: How many of the worst runs are reported.
 _WORST = 5
-_RELATIONS = {'<': operator.lt, '<=': operator.le, '>': operator.gt, '>=': operator.ge}
-_EXPRESSION = re.compile(r'\s*(\w+)\s*(<=|>=|<|>)\s*(\S+)\s*')
 #: The probability of each tail of a confidence interval.
 _TAIL = 0.025
 
 
-@dataclass(frozen=True)
-class Requirement:
+def judged(requirement: Requirement, ensemble: Ensemble, folder: Folder) -> dict[str, Any]:
     """
-    A limit on a quantity at the end of a run.
+    Judge how well the runs of a complete folder meet a requirement.
 
-    Attributes
-    ----------
-    quantity : str
-        What is limited. 'rate' is the angular speed of the body, rad/s. 'angle' is the angle
-        between the space axes and the body axes, rad. 'angle_from_nominal' is the angle between
-        the body axes in this run and in the nominal run, rad.
-    relation : str
-        '<', '<=', '>' or '>='.
-    limit : float
+    Returns
+    -------
+    dict
+        The result as JSON types. 'met' is the number of runs that meet the requirement; failed
+        runs never meet it. 'share' is 'met' divided by the number of all runs, and 'interval_95'
+        is the 95 % confidence interval of 'share'. 'percentiles' and 'histogram' describe the
+        quantity at the end or, with 'after_s', the overshoot. They are empty if all runs failed.
+        'settling_time_s' contains percentiles. 'worst' lists the worst runs. 'effects' says how
+        much each parameter affects the quantity or the overshoot.
 
     """
-
-    quantity: str
-    relation: str
-    limit: float
-
-    @classmethod
-    def read(cls, text: str) -> Requirement:
-        """Parse a requirement such as 'rate < 0.05'; raise InputError if the text is invalid."""
-        match = _EXPRESSION.fullmatch(text)
-        with suppress(ValueError):
-            if match and match[1] in UNITS and math.isfinite(limit := float(match[3])):
-                return cls(match[1], match[2], limit)
-        raise InputError(f'expected one of {", ".join(UNITS)}, then <, <=, > or >=, and a '
-                         f"number, such as 'rate < 0.05', found {quoted(text)}")
-
-    def __str__(self) -> str:
-        return f'{self.quantity} {self.relation} {self.limit:.12g}'
-
-    def judged(self, ensemble: Ensemble, folder: Folder) -> dict[str, Any]:
-        """
-        Judge how well the runs of a complete folder meet the requirement.
-
-        Returns
-        -------
-        dict
-            The result as JSON types. 'met' is the number of runs that meet the requirement; failed
-            runs never meet it. 'share' is 'met' divided by the number of all runs, and
-            'interval_95' is the 95 % confidence interval of 'share'. 'percentiles' and 'histogram'
-            describe the quantity, and are empty if all runs failed. 'worst' lists the worst runs.
-            'effects' says how much each parameter affects the quantity.
-
-        """
-        numbers = final(folder, self.quantity)
-        with np.errstate(invalid='ignore'):  # the values of failed runs are NaN
-            met = int(_RELATIONS[self.relation](numbers, self.limit).sum())
-        values, bars = distribution(numbers)
-        return {'require': str(self), 'unit': UNITS[self.quantity], 'met': met,
-                'share': met / folder.runs, 'interval_95': interval(met, folder.runs),
-                'percentiles': values,
-                'histogram': bars and {'edges': bars['edges_rad'], 'runs': bars['runs']},
-                'worst': self._worst(numbers),
-                'effects': effects(ensemble, folder, numbers)}
-
-    def _worst(self, numbers: Floats) -> list[dict[str, Any]]:
-        """
-        Return the worst runs, beginning with the worst run.
-
-        Runs with equal numbers are in the order of their run numbers.
-        """
-        order = np.argsort(-numbers if self.relation in ('<', '<=') else numbers, kind='stable')
-        return [{'run': run, 'value': float(numbers[run])} for run in order[:_WORST].tolist()
-                if math.isfinite(numbers[run])]
+    sign, more = 1.0 if requirement.relation[0] == '<' else -1.0, dict[str, Any]()
+    if requirement.after is None:
+        numbers, limit = final(folder, requirement.quantity) / requirement.size, requirement.limit
+        worse = sign * numbers
+    else:
+        settled, numbers = (folder.numbers(name) for name in requirement.columns)
+        worse, limit = numbers, 0.0
+        more = {'after_s': requirement.after, 'settling_time_s': distribution(settled)[0]}
+    met = int(requirement.is_met(sign * worse, limit).sum())  # NaN, in failed runs, is not met
+    values, bars = distribution(numbers)
+    order = np.argsort(-worse, kind='stable')[:_WORST]
+    return {'require': str(requirement), 'unit': requirement.unit, **more, 'met': met,
+            'share': met / folder.runs, 'interval_95': interval(met, folder.runs),
+            'percentiles': values,
+            'histogram': bars and {'edges': bars['edges_rad'], 'runs': bars['runs']},
+            'worst': [{'run': run, 'value': float(numbers[run])} for run in order.tolist()
+                      if math.isfinite(numbers[run])],
+            'effects': effects(ensemble, folder, numbers)}
 
 
 def summarized(ensemble: Ensemble, folder: Folder,
@@ -151,7 +110,7 @@ def summarized(ensemble: Ensemble, folder: Folder,
         between this angle and the distance of each dispersed parameter from its nominal value.
         'bands' is present if the folder keeps states and at least one run did not fail.
         'requirements' is present if there are requirements, and contains the result of
-        `Requirement.judged` for each of them.
+        `judged` for each of them.
 
     """
     angles = folder.numbers(ANGLE)
@@ -164,7 +123,7 @@ def summarized(ensemble: Ensemble, folder: Folder,
         results['bands'] = bands(folder.motions, ensemble.nominal_motion, succeeded)
     results['rank_correlation'] = correlations(ensemble, folder, angles)
     if requirements:
-        results['requirements'] = [requirement.judged(ensemble, folder)
+        results['requirements'] = [judged(requirement, ensemble, folder)
                                    for requirement in requirements]
     return results
 
@@ -243,10 +202,10 @@ def histogram(angles: Floats, percentiles: Mapping[str, float]) -> dict[str, Any
     dict
         'edges_rad', shape (m + 1,), contains the edges of the intervals, and 'runs', shape (m,),
         the number of runs in each interval. Normally, the intervals have equal widths and range
-        from 0 to the largest angle. If the angles span several decades, the intervals instead have
-        equal widths on a logarithmic axis. The first of these intervals begins at a tenth of the
-        first percentile or at the smallest angle, whichever is larger, and also counts all smaller
-        angles.
+        from 0, or from the smallest angle if that is negative, to the largest angle. If the angles
+        span several decades, the intervals instead have equal widths on a logarithmic axis. The
+        first of these intervals begins at a tenth of the first percentile or at the smallest
+        angle, whichever is larger, and also counts all smaller angles.
 
     """
     bars = min(math.isqrt(angles.size), _BARS)
@@ -254,7 +213,7 @@ def histogram(angles: Floats, percentiles: Mapping[str, float]) -> dict[str, Any
     if percentiles['p1'] > 0.0 and _DECADES * percentiles['p5'] < percentiles['p99']:
         edges = np.geomspace(max(0.1 * percentiles['p1'], angles.min()), largest, bars + 1)
     else:
-        edges = np.linspace(0.0, largest, bars + 1)
+        edges = np.linspace(min(0.0, angles.min()), largest, bars + 1)
     counts, _ = np.histogram(np.maximum(angles, edges[0]), edges)
     return {'edges_rad': edges.tolist(), 'runs': counts.tolist()}
 

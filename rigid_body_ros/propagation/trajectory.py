@@ -270,6 +270,8 @@ class Trajectory:
         breaks_ns = self._breaks_ns
         if from_ns is not None:
             breaks_ns = np.append(from_ns, breaks_ns[breaks_ns > from_ns])
+        if breaks_ns.size < 2:
+            raise ValueError('maximum: expected a motion that ends later than it begins')
         return maximum(self._whole, function, breaks_ns)
 
     @property
