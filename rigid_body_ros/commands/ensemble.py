@@ -168,10 +168,10 @@ def _add_arguments(parser: Parser) -> None:
                         'scene with the state and the time since the start (s), and returns a '
                         'torque (N m, body axes)')
     parser.add_argument('--require', action='append', default=[], metavar='EXPRESSION',
-                        help="limit on the final state, such as 'rate < 0.05': rate (rad/s), "
-                        'angle (rad, between body and space axes) or angle_from_nominal (rad); '
-                        'report how many runs meet it, which parameters matter, and the worst '
-                        'runs; may be repeated')
+                        help="limit on the final state, such as 'rate < 0.05', or from a time on, "
+                        "such as 'angle < 1 deg after 60 s': rate (rad/s), angle (rad, between "
+                        'body and space axes) or angle_from_nominal (rad); report how many runs '
+                        'meet it, which parameters matter, and the worst runs; may be repeated')
     parser.add_argument('--until', type=positive, metavar='SECONDS',
                         help='end SECONDS after the start (default: at the last torque stamp); '
                         'required without a recording')
@@ -182,8 +182,8 @@ def _add_arguments(parser: Parser) -> None:
                         metavar='S', help='seed of the random numbers (default: 0)')
     pool = parser.add_mutually_exclusive_group()
     pool.add_argument('--workers', type=within(1, 1024, 'an integer', int), metavar='K',
-                      help='number of threads or, with --controller, processes, which does not '
-                      'change the results (default: one per processor)')
+                      help="number of threads or, with --controller or 'after', processes, which "
+                      'does not change the results (default: one per processor)')
     pool.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
                       'this Dask scheduler, HOST:PORT or the file that it wrote, with the same '
                       'results')
