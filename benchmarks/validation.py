@@ -49,9 +49,9 @@ TEXTS = {
              'fitted from a sphere.'),
     'toutatis': ('The asteroid Toutatis',
                  'Moments, initial state and radar observations: Takahashi, Busch and Scheeres, '
-                 'Astronomical Journal 146:95, 2013. Periods: Zhao, Hu and Ji, arXiv:1511.04357. '
-                 'The last rows compare how far the axes are from radar with the test `Toutatis` '
-                 'of github.com/mockingbirdnest/Principia at f6bc70e5.'),
+                 'Astronomical Journal 146:95, 2013. Periods, +- 0.03 days: Zhao, Hu and Ji, '
+                 'arXiv:1511.04357. The last rows compare how far the axes are from radar with '
+                 'the test `Toutatis` of github.com/mockingbirdnest/Principia at f6bc70e5.'),
     'tops': ('Bodies without torque from the literature',
              'Hairer and Vilmart, J. Phys. A 39, 13225, 2006; van Zon and Schofield, J. Comput. '
              "Phys. 225, 145, 2007; Gazebo's boxes in github.com/scpeters/benchmark. States are "
@@ -81,10 +81,9 @@ def cells(name, compare):
 
 
 def source_lines(source):
-    """Return the lines of a section: heading, remarks, command and table."""
+    """Return the lines of a section: heading, remarks and table."""
     title, remarks = TEXTS[source]
-    lines = [f'### {title}', '', f'{remarks} `pytest test/test_validation.py -k {source}`', '',
-             *header('quantity', 'reference', 'difference')]
+    lines = [f'### {title}', '', remarks, '', *header('quantity', 'reference', 'difference')]
     lines += [row(*cells(name, compare)) for name, (compare, _) in ROWS[source].items()]
     return [*lines, '']
 

@@ -59,6 +59,11 @@ def rates(right, found):
     return f'{right[0]:.15e}', f'{found[0]:.15e}', float(apart)
 
 
+def worst(compare, cases):
+    """Return the comparison with the largest difference."""
+    return max(map(compare, cases), key=lambda compared: compared[2])
+
+
 def numbers(right, found):
     """Return both numbers with 16 digits, and their difference."""
     return f'{right:.16g}', f'{found:.16g}', abs(found - right)
@@ -91,16 +96,11 @@ def station_rates(row):
     return rates(log.angular_velocity[row], motion.angular_velocity[row])
 
 
-def worst_until_2340_s(compare):
-    """Return the comparison with the largest difference, of the first four times of JEOD's log."""
-    return max((compare(row) for row in range(1, 5)), key=lambda compared: compared[2])
-
-
 def station_rows():
     for name, compare, late in (('attitude {}, rad', station_attitude, 2e-12),
                                 ('rates {}, relative', station_rates, 3e-13)):
         yield (name.format('until 2340 s, worst of four'),
-               lambda compare=compare: worst_until_2340_s(compare), 3e-14)
+               lambda compare=compare: worst(compare, range(1, 5)), 3e-14)
         yield name.format('after 28800 s'), lambda compare=compare: compare(5), late
     yield ('attitude after 28800 s, against 32 digits, rad',
            lambda: attitudes(STATION_ATTITUDE, station()[1].attitude[-1]), 1e-14)
@@ -274,11 +274,10 @@ def top(name):
 
 
 def top_rows():
-    for name, (attitude, spin) in STATES.items():
-        yield (f'{name}, attitude after 10 s, rad',
-               lambda name=name, right=attitude: attitudes(right, top(name).attitude[0]), 2e-14)
-        yield (f'{name}, rates after 10 s, relative',
-               lambda name=name, right=spin: rates(right, top(name).angular_velocity[0]), 1e-14)
+    yield ('attitude after 10 s, worst of four, rad', lambda: worst(
+        lambda name: attitudes(STATES[name][0], top(name).attitude[0]), STATES), 2e-14)
+    yield ('rates after 10 s, worst of four, relative', lambda: worst(
+        lambda name: rates(STATES[name][1], top(name).angular_velocity[0]), STATES), 1e-14)
     for name in TOPS:
         yield f'{name}, period, s', lambda name=name: numbers(*period(name)), 5e-15
 
