@@ -134,6 +134,18 @@ def context(domain):
 
 
 @pytest.fixture
+def stranger(domain):
+    """Yield a node with its own participant, which a topic of another type needs."""
+    import rclpy
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node('stranger', context=context)
+    yield node
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+@pytest.fixture
 def short_trades(monkeypatch):
     """Limit the steps and the repetitions of each setting that `attitude_tradeoff` measures."""
     monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_STEPS', 20_000)

@@ -16,37 +16,139 @@
 
 from collections import Counter
 import json
-import subprocess
 import time
 
 from conftest import at_night, SECOND
-from geometry_msgs.msg import Vector3Stamped
-from monitor_session import (
-    BEGIN_NS,
-    campaign,
-    find,
-    is_over,
-    NAMES,
-    PATIENCE,
-    Session,
-    shifted,
-    stream,
-    TOPICS,
-    WITH_CLOCK,
-)
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
+from live import PATIENCE, Session
+from live_session import DIAGNOSTICS
+import monitor as campaign
 import numpy as np
 import pytest
+from rclpy.clock import Clock as NodeClock
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from rigid_body_ros import messages, recording
+from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.inference.monitor import Monitor, settings_of
 from rigid_body_ros.node.attitude_monitor import AttitudeMonitor
+from rigid_body_ros.node.intake import DrainCallback
 from rigid_body_ros.recording import Writer
 from rigid_body_ros.recording.quantities import of_messages
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
+import yaml
 
 pytestmark = pytest.mark.ros
+OK, ERROR = b'\x00', b'\x02'
+BEGIN_NS = 1000 * SECOND
+#: Simulated time per time. If it were ten times as fast as real time, it might count as a jump.
+FASTER = 6
+TOPICS = {'/torque': (WrenchStamped, messages.WRENCH), '/mocap': (QuaternionStamped,
+          messages.QUATERNION), '/gyro': (Vector3Stamped, messages.VECTOR3)}
+#: The names of these inputs in diagnostics.
+NAMES = 'torques', 'measured /mocap', 'measured /gyro'
+MEASURED = {'measured': ['/mocap', '/gyro'], 'window': 2.0,
+            'attitude_noise': campaign.ATTITUDE_NOISE, 'rate_noise': campaign.RATE_NOISE}
+
+
+def stream(seconds, **wrong):
+    """Return stamps, topics and messages, sorted by stamp."""
+    found = []
+    for piece in campaign.pieces(4, seconds, piece=min(seconds, 60), **wrong):
+        for (topic, (_, kind)), (times_ns, values) in zip(TOPICS.items(), piece):
+            made = messages.wrench if topic == '/torque' else kind.encode
+            frame_id = 'world' if topic == '/mocap' else 'base_link'
+            found += [(stamp_ns, topic, made(stamp_ns, frame_id, one)) for stamp_ns, one in zip(
+                (BEGIN_NS + times_ns).tolist(), values)]
+    return sorted(found, key=lambda message: message[0])
+
+
+def between(found, begin, end=np.inf):
+    """Return the messages between two times, s."""
+    return [message for message in found if begin <= (message[0] - BEGIN_NS) / SECOND < end]
+
+
+def shifted(found, shift_ns):
+    """Return messages with shifted stamps."""
+    return [(stamp_ns + shift_ns, topic, TOPICS[topic][1].encode(
+        stamp_ns + shift_ns, '', TOPICS[topic][1].decode(data).values))
+        for stamp_ns, topic, data in found]
+
+
+class Monitored(Session):
+    """A session with a monitor, and what it publishes."""
+
+    kind = AttitudeMonitor
+
+    def __init__(self, folder, domain, **parameters):
+        entries = dict(zip(('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'),
+                           campaign.INERTIA[np.triu_indices(3)].tolist()))
+        qos = {f'qos_overrides.{topic}.subscription.{name}': value for topic in TOPICS
+               for name, value in (('reliability', 'reliable'), ('depth', 10_000))}
+        path = folder / 'scene.yaml'
+        path.write_text(yaml.dump({'/**': {'ros__parameters': {
+            'inertia': entries, 'history': 1.0, 'on_time_jump': 'ignore', 'use_sim_time': True,
+            'monitor': MEASURED, **qos, **parameters}}}))
+        super().__init__(path, domain)
+        self.scene = scene.load(path)
+
+    def _connect(self):
+        self.errors, self.now_ns = {'attitude_error': [], 'rate_error': []}, BEGIN_NS
+        for name, errors in self.errors.items():
+            self.node.create_subscription(Vector3Stamped, f'/attitude_monitor/{name}',
+                                          errors.append, 1000, raw=True)
+        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self.diagnostics.append, 100)
+        self.clock = self.node.create_publisher(Clock, '/clock', 10)
+        self.connect()
+
+    def connect(self):
+        """Create the publishers of all inputs, and wait until the monitor subscribes."""
+        self.publishers = {topic: self.node.create_publisher(kind, topic, 10_000)
+                           for topic, (kind, _) in TOPICS.items()}
+        self.wait_until(lambda: all(one.get_subscription_count()
+                                    for one in self.publishers.values()), 'the subscriptions')
+
+    def play(self, found):
+        """Publish messages, and the time."""
+        began = time.monotonic() - found[0][0] / FASTER / SECOND
+        for number, (stamp_ns, topic, data) in enumerate(found):
+            if not number % 20:
+                self.set_clock(stamp_ns)
+                self.spin(max(1e-3, began + stamp_ns / FASTER / SECOND - time.monotonic()))
+            self.publishers[topic].publish(data)
+        self.set_clock(found[-1][0])
+
+    def wait_for_windows(self, count):
+        self.wait_until(lambda: len(self.errors['rate_error']) >= count, 'windows')
+
+    def wait_for(self, name, text):
+        """Wait for a text in the status of an input, or of the model."""
+        self.wait_until(lambda: text in self.status(name).message, text)
+
+    def wait_for_jumps(self, count):
+        self.wait_until(lambda: self.values('motion')['clock jumps'] == count, 'jumps')
+
+    def set_clock(self, stamp_ns):
+        clock, self.now_ns = Clock(), stamp_ns
+        clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, SECOND)
+        self.clock.publish(clock)
+
+    def status(self, name):
+        """Return the latest status with this name."""
+        self.wait_until(lambda: self.diagnostics, 'diagnostics')
+        return next(status for array in reversed(self.diagnostics) for status in array.status
+                    if status.name == f'/attitude_monitor: {name}')
+
+    def values(self, name):
+        return {pair.key: int(pair.value) for pair in self.status(name).values
+                if pair.value.isdigit()}
+
+    def check_levels(self):
+        """Check that the model has never been rejected."""
+        assert ERROR not in {status.level for array in self.diagnostics for status in array.status
+                             if status.name.endswith(': model')}
 
 
 def compared(folder, found):
@@ -64,33 +166,31 @@ def compared(folder, found):
 
 
 def expected(session, found):
-    """Return the result of a monitor without ROS for the same messages, sorted by stamp."""
+    """Return the result of a monitor without ROS for the same messages."""
     monitor = Monitor(session.scene.problem(), settings_of(session.scene.values),
                       session.scene.actuators or ())
-    for stamp_ns, topic, data in found:
-        kind = TOPICS[topic][1]
-        values = kind.decode(data).values[None]
+    for topic, (_, kind) in TOPICS.items():
+        stamps_ns = np.array([stamp_ns for stamp_ns, name, _ in found if name == topic])
+        values = np.array([kind.decode(data).values for _, name, data in found if name == topic])
         if topic == '/torque':
-            monitor.apply([stamp_ns], values[:, 3:])
+            monitor.apply(stamps_ns, values[:, 3:])
         else:
-            recorded = recording.Messages(topic, np.array([stamp_ns]), np.zeros(1, int), [''],
-                                          values)
-            samples = of_messages(recorded, kind)
-            monitor.measure(topic, [stamp_ns], samples.attitude, samples.rates)
+            samples = of_messages(recording.Messages(
+                topic, stamps_ns, np.zeros(len(values), int), [''], values), kind)
+            monitor.measure(topic, stamps_ns, samples.attitude, samples.rates)
     return [*monitor.judgements()]
 
 
 @pytest.mark.parametrize('actuator', [None, *at_night(
     {'topics': ['/torque'], 'delay': 0.03, 'time_constant': 0.02, 'limit': {'x': 0.02}})])
 def test_a_right_model_is_explained_with_the_bits_of_the_offline_twin(tmp_path, domain, actuator):
-    found = stream(60)
-    random = np.random.default_rng(6)
+    found, random = stream(20), np.random.default_rng(6)
     order = sorted(found, key=lambda message: message[0] + int(random.integers(0, SECOND // 4)))
     others = {'actuator': actuator} if actuator else {}
-    with Session(tmp_path / 'scene.yaml', domain, **others) as session:
+    with Monitored(tmp_path, domain, **others) as session:
         session.play(order)
         twin = expected(session, found)
-        session.wait(session.has_judged, len(twin))
+        session.wait_for_windows(len(twin))
         rejected = {name: session.values(name)['rejected: late'] for name in NAMES}
         assert not any(rejected.values()), rejected
         for name in ('attitude', 'rate'):
@@ -103,9 +203,8 @@ def test_a_right_model_is_explained_with_the_bits_of_the_offline_twin(tmp_path, 
         assert [one['rate_error_rad_s'] for one in twin] == [
             one.values.tolist() for one in published]
         if not actuator:
-            session.wait(lambda: session.status('model').message.startswith('the model explains'))
-            assert session.status('model').level == b'\x00'
-        assert session.stop() == 0
+            session.wait_for('model', 'the model explains')
+            assert session.status('model').level == OK
 
 
 def test_an_imu_as_people_send_it_is_judged_or_named(tmp_path, domain):
@@ -117,157 +216,139 @@ def test_an_imu_as_people_send_it_is_judged_or_named(tmp_path, domain):
             values[3], values[13:16] = 1.0, messages.VECTOR3.decode(data).values
             found.append((stamp_ns, '/imu', imu.encode(stamp_ns, '/base_link', values)))
             found += [found[-1]] * (number % 20 == 0)  # the same stamp twice
-    measured = {'measured': ['/mocap', '/gyro', '/imu'], 'window': 2.0,
-                'attitude_noise': campaign.ATTITUDE_NOISE, 'rate_noise': campaign.RATE_NOISE}
-    with Session(tmp_path / 'scene.yaml', domain, monitor=measured) as session:
-        session.names = *NAMES, 'measured /imu'
-        session.publishers['/imu'] = session.node.create_publisher(Imu, '/imu', 10_000)
-        session.wait(lambda: session.publishers['/imu'].get_subscription_count() == 1)
+    with Monitored(tmp_path, domain, monitor={
+            **MEASURED, 'measured': ['/mocap', '/gyro', '/imu']}) as session:
+        imus = session.publishers['/imu'] = session.node.create_publisher(Imu, '/imu', 10_000)
+        session.wait_until(imus.get_subscription_count, 'the subscription')
         session.play(found)
-        session.wait(session.has_judged, 8)
-        session.wait(lambda: '/imu: the attitude is not used' in session.status('model').message)
-        session.wait(lambda: 'samples have the same stamp as a later one'
-                     in session.status('measured /imu').message)
+        session.wait_for_windows(8)
+        session.wait_for('model', '/imu: the attitude is not used')
+        session.wait_for('measured /imu', 'samples have the same stamp as a later one')
         assert session.values('measured /imu')['rejected: unknown frame'] == 0
-        assert b'\x02' not in session.levels()
-        assert session.stop() == 0
+        session.check_levels()
 
 
 @pytest.mark.nightly
 def test_a_wrong_torque_is_found_and_the_check_goes_on_without_a_sensor(tmp_path, domain):
     wrong = stream(60, **campaign.ERRORS['torque of 1 mN m about x'])
-    with Session(tmp_path / 'scene.yaml', domain) as session:
-        first = [message for message in wrong if message[0] < BEGIN_NS + 30 * SECOND]
-        session.play(first)
-        session.wait(lambda: session.status('model').level == b'\x02')
+    with Monitored(tmp_path, domain) as session:
+        session.play(between(wrong, 0, 30))
+        session.wait_until(lambda: session.status('model').level == ERROR, 'an alarm')
         assert 'sigma' in session.status('model').message
-        session.wait(lambda: 'first suspect: torque_bias' in session.status('model').message)
+        session.wait_for('model', 'first suspect: torque_bias')
         values = {pair.key: pair.value for pair in session.status('model').values}
         assert values['first suspect'].startswith('torque_bias (')
         # The mocap sends only invalid messages: its status says so, and the check continues.
         session.play([(stamp_ns, topic, messages.QUATERNION.encode(
             stamp_ns, 'nowhere', (0.0, 0.0, 0.0, 1.0)) if topic == '/mocap' else data)
-            for stamp_ns, topic, data in wrong[len(first):]])
-        session.wait(session.is_silent, 'measured /mocap')
-        assert len(session.errors['rate_error']) > len(session.errors['attitude_error'])
-        # Kill and restart the monitor.
-        session.process.kill()
-        session.process.wait()
-        session.start()
-        session.connect()
-        session.wait(lambda: session.status('model').message.startswith('no window yet'))
-        assert session.stop() == 0
+            for stamp_ns, topic, data in between(wrong, 30)])
+        session.wait_for('measured /mocap', 'nothing for')
+        session.wait_until(lambda: len(session.errors['rate_error'])
+                           > len(session.errors['attitude_error']), 'windows without the mocap')
+        session.diagnostics.clear()
+        session.restart()
+        session.wait_for('model', 'no window yet')
 
 
 @pytest.mark.nightly
 def test_what_falls_silent_is_named_and_is_no_error_of_the_model(tmp_path, domain):
     found = stream(60)
-    with Session(tmp_path / 'scene.yaml', domain) as session:
-        begin_ns = BEGIN_NS
-        for topic, name in zip(TOPICS, NAMES):
+    with Monitored(tmp_path, domain) as session:
+        for begin, topic, name in zip((0, 16, 32), TOPICS, NAMES):
             # Eight seconds with the topic, eight without it.
-            middle_ns, end_ns = begin_ns + 8 * SECOND, begin_ns + 16 * SECOND
-            session.play([message for message in found if begin_ns <= message[0] < end_ns
-                          and (message[1] != topic or message[0] < middle_ns)])
-            session.wait(session.is_silent, name)
-            begin_ns = end_ns
+            session.play(between(found, begin, begin + 8) + [
+                message for message in between(found, begin + 8, begin + 16)
+                if message[1] != topic])
+            session.wait_for(name, 'nothing for')
         assert session.values('model')['windows skipped: no torque for longer than stale_after']
-        session.play([message for message in found if message[0] >= begin_ns])
-        session.wait(lambda: session.status('model').level == b'\x00')
-        assert b'\x02' not in session.levels()
+        session.play(between(found, 48))
+        session.wait_until(lambda: session.status('model').level == OK, 'the end of the silence')
+        session.check_levels()
         # Publish only the time from here on.
         session.set_clock(found[-1][0] + 20 * SECOND)
-        session.wait(lambda: session.status('model').message.startswith('no measurements since'))
-        assert session.stop() == 0
+        session.wait_for('model', 'no measurements since')
 
 
 @pytest.mark.nightly
 def test_lost_torques_are_no_error_of_the_model(tmp_path, domain):
     found = stream(30)
-    with Session(tmp_path / 'scene.yaml', domain,
-                 **{'qos_overrides./torque.subscription.depth': 5}) as session:
-        session.play(found[:find(found, 9)])
-        _, topic, data = next(message for message in found[find(found, 9):]
-                              if message[1] == '/torque')
-        lost = session.values('torques')['lost']
-        while session.values('torques')['lost'] == lost:
-            for _ in range(200):
-                session.publishers[topic].publish(data)
-            session.received += 200
-            session.wait(lambda: session.count() >= session.received)
-        session.play(found[find(found, 9):])
-        session.wait(lambda: session.values('model').get('windows skipped: torques lost'))
-        assert b'\x02' not in session.levels()
-        assert session.stop() == 0
+    with Monitored(tmp_path, domain,
+                   **{'qos_overrides./torque.subscription.depth': 100}) as session:
+        session.play(between(found, 0, 9))
+        data = next(data for _, topic, data in between(found, 9) if topic == '/torque')
+        for _ in range(200):
+            session.publishers['/torque'].publish(data)
+        session.wait_until(lambda: session.values('torques')['lost'], 'a loss')
+        session.play(between(found, 9))
+        session.wait_until(lambda: session.values('model').get('windows skipped: torques lost'),
+                           'windows that are skipped')
+        session.check_levels()
 
 
 @pytest.mark.nightly
 def test_after_a_jump_of_simulated_time_the_check_begins_again(tmp_path, domain):
     found = stream(20)
-    with Session(tmp_path / 'scene.yaml', domain, on_time_jump='reset') as session:
+    with Monitored(tmp_path, domain, on_time_jump='reset') as session:
         session.play(found)
         for number, begin_ns in enumerate((BEGIN_NS, BEGIN_NS + 1000 * SECOND), 1):
             (_, topic, late), count = found[-1], len(session.errors['rate_error'])
             found = shifted(found, begin_ns - found[0][0])
             session.set_clock(begin_ns)
-            session.wait(session.has_jumped, number)
+            session.wait_for_jumps(number)
             session.publishers[topic].publish(late)  # as if it was still in transit
-            session.received += 1
             session.play(found)
-            session.wait(session.has_judged, count + 6)
+            session.wait_for_windows(count + 6)
         counts = Counter()
         for name in NAMES:
             counts.update(session.values(name))
         assert counts['rejected: before the reset'] == 2
         assert not counts['rejected: late'] + counts['rejected: future']
-        assert b'\x02' not in session.levels()
-        assert session.stop() == 0
+        session.check_levels()
 
 
 @pytest.mark.nightly
-def test_steps_of_the_wall_clock_are_no_error_of_the_model(tmp_path, domain):
-    path, steps, shift_ns, windows = tmp_path / 'shift', [-30.0, 100.0, -0.25], 0, 3
-    path.write_text('0')
-    with Session(tmp_path / 'scene.yaml', domain, WITH_CLOCK.format(str(path)),
-                 on_time_jump='reset', use_sim_time=False) as session:
+def test_steps_of_the_wall_clock_are_no_error_of_the_model(tmp_path, domain, monkeypatch):
+    steps, shift_ns, windows = [-30.0, 100.0, -0.25], 0, 3
+    now, pass_on = NodeClock.now, DrainCallback.pass_on
+
+    def passed_on(drain, message, info):
+        info['received_timestamp'] += shift_ns
+        pass_on(drain, message, info)
+    # The clock of the node, and that of the middleware.
+    monkeypatch.setattr(NodeClock, 'now', lambda clock: now(clock) + Duration(
+        nanoseconds=shift_ns))
+    monkeypatch.setattr(DrainCallback, 'pass_on', passed_on)
+    with Monitored(tmp_path, domain, on_time_jump='reset', use_sim_time=False) as session:
         for stamp_ns, topic, data in shifted(stream(120), time.time_ns() - BEGIN_NS):
-            session.wait(is_over, time.time_ns, stamp_ns)
+            session.spin((stamp_ns - time.time_ns()) / SECOND)
             (_, _, data), = shifted([(stamp_ns, topic, data)], shift_ns)
             session.publishers[topic].publish(data)
-            if session.has_judged(windows):
+            if len(session.errors['rate_error']) >= windows:
                 if not steps:
                     break
                 shift_ns += round(steps.pop(0) * SECOND)
                 windows += 3
-                (tmp_path / 'next').write_text(str(shift_ns))
-                (tmp_path / 'next').replace(path)
         assert not steps
-        session.wait(session.has_jumped, 3)
-        assert b'\x02' not in session.levels()
-        assert session.stop() == 0
+        session.wait_for_jumps(3)
+        session.check_levels()
 
 
 @pytest.mark.nightly
 def test_restarts_of_the_sources_and_of_the_monitor_are_no_error_of_the_model(tmp_path, domain):
     found = stream(60)
-    with Session(tmp_path / 'scene.yaml', domain) as session:
-        session.play(found[:find(found, 15)])
+    with Monitored(tmp_path, domain) as session:
+        session.play(between(found, 0, 15))
         for publisher in session.publishers.values():
             session.node.destroy_publisher(publisher)
-        session.publish()
         session.connect()
-        session.play(found[find(found, 18):find(found, 33)])
-        session.process.kill()
-        session.process.wait()
-        session.start()
-        session.connect()
+        session.play(between(found, 18, 33))
+        session.restart()
         count = len(session.errors['rate_error'])
         # As if the monitor discovers the publisher of torques last.
-        session.play([message for message in found[find(found, 33.5):]
+        session.play([message for message in between(found, 33.5)
                       if message[1] != '/torque' or message[0] > BEGIN_NS + 37 * SECOND])
-        session.wait(session.has_judged, count + 8)
-        assert b'\x02' not in session.levels()
-        assert session.stop() == 0
+        session.wait_for_windows(count + 8)
+        session.check_levels()
 
 
 def test_a_message_without_a_stamp_has_the_time_at_which_the_middleware_received_it(context):
@@ -303,26 +384,11 @@ def test_a_message_without_a_stamp_has_the_time_at_which_the_middleware_received
     monitor.destroy_node()
 
 
-def test_torques_of_another_type_are_received(tmp_path, domain):
-    with Session(tmp_path / 'scene.yaml', domain) as session:
+def test_torques_of_another_type_are_received(tmp_path, domain, stranger):
+    with Monitored(tmp_path, domain) as session:
+        session.set_clock(BEGIN_NS)
         session.node.destroy_publisher(session.publishers['/torque'])
-        other = session.node.create_publisher(Vector3Stamped, '/torque', 10)
-        session.wait(lambda: other.get_subscription_count() == 1)
-        applied = session.values('torques')['applied']
+        other = stranger.create_publisher(Vector3Stamped, '/torque', 10)
+        session.wait_until(other.get_subscription_count, 'the subscription')
         other.publish(messages.VECTOR3.encode(BEGIN_NS, 'base_link', np.full(3, 1e-3)))
-        session.wait(lambda: session.values('torques')['applied'] == applied + 1)
-        assert session.stop() == 0
-
-
-@pytest.mark.parametrize(('line', 'words'), [
-    ('monitor.rate_noise:=0.0', 'monitor.rate_noise: expected the standard deviation'),
-    ('inertia_topic:=true', 'inertia_topic: expected false'),
-    ('monitor.measured:=["a b"]', 'monitor.measured: expected names of topics'),
-    ('monitor.measured:=["/imu", "/imu"]', 'monitor.measured: expected each topic once')])
-def test_a_scene_that_cannot_be_checked_is_an_error_of_one_line(tmp_path, domain, line, words):
-    session = Session(tmp_path / 'scene.yaml', domain)
-    result = subprocess.run([*session._command, '-p', line], env=session._environment, check=False,
-                            capture_output=True, text=True, timeout=PATIENCE)
-    assert result.returncode == 2
-    assert words in result.stderr
-    assert len(result.stderr.splitlines()) == 1
+        session.wait_until(lambda: session.values('torques')['applied'] == 1, 'the torque')

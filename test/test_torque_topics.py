@@ -25,7 +25,6 @@ from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rcl_interfaces.srv import DescribeParameters
-import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, Problem, read, recording, RigidBody, scene, State
 from rigid_body_ros.mechanics import so3
@@ -449,17 +448,6 @@ def made(kind, stamp_ns, torque):
         message.header.frame_id = 'base_link'
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, SECOND)
     return message
-
-
-@pytest.fixture
-def stranger(domain):
-    """Yield a node with its own participant, which one topic of another type needs."""
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=domain)
-    node = rclpy.create_node('stranger', context=context)
-    yield node
-    node.destroy_node()
-    rclpy.shutdown(context=context)
 
 
 @pytest.mark.parametrize('kind', [Wrench, Vector3Stamped])
