@@ -31,9 +31,9 @@ from extension import BuildKernels, kernels  # noqa: E402, I100
 NAME = PACKAGE.findtext('name')
 ROS_PACKAGES = ('rclpy', 'rmw-fastrtps-cpp', 'geometry-msgs', 'sensor-msgs', 'nav-msgs',
                 'std-msgs', 'std-srvs', 'diagnostic-msgs', 'rcl-interfaces', 'rosgraph-msgs')
-COMMANDS = ('attitude_compare', 'attitude_controller', 'attitude_ensemble', 'attitude_identify',
-            'attitude_lifecycle_node', 'attitude_monitor', 'attitude_node', 'attitude_regress',
-            'attitude_replay', 'attitude_tradeoff')
+COMMANDS = ('attitude_compare', 'attitude_controller', 'attitude_design', 'attitude_ensemble',
+            'attitude_identify', 'attitude_lifecycle_node', 'attitude_monitor', 'attitude_node',
+            'attitude_regress', 'attitude_replay', 'attitude_tradeoff')
 SCRIPT = """#!/usr/bin/env python3
 import sys
 

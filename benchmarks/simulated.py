@@ -274,10 +274,10 @@ def inertia_at(kind, time):
     return kind.inertia * np.array([[factor, 1, 1], [1, 1, 1], [1, 1, factor]])
 
 
-def slope(kind, time, q, w, bend, torque):
-    """Return the time derivatives of attitude, rate and appendage."""
+def slope(kind, time, q, w, bend, torque, wheels=0.0):
+    """Return the time derivatives of attitude, rate and appendage; `wheels` is a momentum."""
     inertia = inertia_at(kind, time)
-    rotor = np.array(kind.rotor) + np.array(kind.rotor_ramp) * time
+    rotor = np.array(kind.rotor) + np.array(kind.rotor_ramp) * time + wheels
     total = torque + np.array(kind.bias) - kind.damping * w - kind.drag * np.abs(w) * w \
         - kind.friction * np.tanh(w / 0.01) - np.array(kind.rotor_ramp)
     if any(kind.weight):
@@ -303,22 +303,32 @@ def slope(kind, time, q, w, bend, torque):
     return 0.5 * multiply(q, spin), acceleration, moved
 
 
-def integrated(kind, torque, random):
-    """Return attitudes and rates after each step, shape (n, s, 4) and (n, s, 3)."""
-    seeds = len(random)
-    q = exponential(np.stack([each.uniform(-1.0, 1.0, 3) for each in random]))
-    w = np.stack([each.uniform(-0.8, 0.8, 3) for each in random])
+def started(random):
+    """Return random attitudes and rates with which a motion begins."""
+    return exponential(np.stack([each.uniform(-1.0, 1.0, 3) for each in random])), \
+        np.stack([each.uniform(-0.8, 0.8, 3) for each in random])
+
+
+def integrated(kind, torque, start, by_wheels=False):
+    """
+    Return attitudes and rates after each step, shape (n, s, 4) and (n, s, 3).
+
+    If the torque acts by wheels, their momentum takes up what the body loses.
+    """
+    (q, w), seeds = start, len(start[0])
+    wheels = -0.5 * STEP * np.cumsum(torque, axis=0) + 0.5 * STEP * torque
+    wheels = np.concatenate([wheels, wheels[-1:] - 0.5 * STEP * torque[-1:]]) * by_wheels
     bend = np.zeros((seeds, 2))
     count = round(kind.seconds / STEP)
     attitudes, rates = np.empty((count + 1, seeds, 4)), np.empty((count + 1, seeds, 3))
     attitudes[0], rates[0] = q, w
     for k in range(count):
         time, now = k * STEP, (q, w, bend)
-        slopes = [slope(kind, time, *now, torque[2 * k])]
-        for part, half in ((0.5, 0), (0.5, 1), (1.0, 1)):
+        slopes = [slope(kind, time, *now, torque[2 * k], wheels[2 * k])]
+        for part, half, at in ((0.5, 0, 1), (0.5, 1, 1), (1.0, 1, 2)):
             moved = [x + part * STEP * dx for x, dx in zip(now, slopes[-1])]
             # Within a step, the torque is held, and the inertia does not jump.
-            slopes.append(slope(kind, time, *moved, torque[2 * k + half]))
+            slopes.append(slope(kind, time, *moved, torque[2 * k + half], wheels[2 * k + at]))
         q, w, bend = (x + STEP / 6.0 * (a + 2.0 * b + 2.0 * c + d)
                       for x, a, b, c, d in zip(now, *slopes))
         q = q / np.linalg.norm(q, axis=1, keepdims=True)
@@ -361,7 +371,8 @@ def recordings(kind, seeds, level=1.0):
     import zlib
     random = [np.random.default_rng((zlib.crc32(kind.name.encode()), seed)) for seed in seeds]
     torques = commanded(kind, random)
-    attitudes, rates = integrated(kind, acting(kind, torques, random), random)
+    torque, start = acting(kind, torques, random), started(random)
+    attitudes, rates = integrated(kind, torque, start)
     torque_ns = np.arange(torques.shape[1]) * (SECOND // TORQUE_HZ)
     return [measured(kind, each, torque_ns, torques[k], attitudes[:, k], rates[:, k], level)
             for k, each in enumerate(random)]

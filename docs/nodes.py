@@ -30,6 +30,7 @@ from typing import NamedTuple
 
 from rigid_body_ros import scene
 from rigid_body_ros.commands.compare import attitude_compare
+from rigid_body_ros.commands.design import attitude_design
 from rigid_body_ros.commands.ensemble import attitude_ensemble
 from rigid_body_ros.commands.identify import attitude_identify
 from rigid_body_ros.commands.regress import attitude_regress
@@ -253,6 +254,9 @@ COMMANDS = [
      '[Model check](compare.md)'),
     (attitude_identify, 'RECORDING [RECORDING ...] --scene FILE [--estimate NAMES] [-o FITTED]',
      '[Identification](identify.md)'),
+    (attitude_design, '--scene FILE --limit NAME=VALUE [--limit NAME=VALUE]...\n'
+     '    --duration SECONDS --sensors TOPIC:NOISE,... [--estimate NAMES] [-o PROFILE]',
+     '[Maneuvers](design_maneuver.md)'),
     (attitude_ensemble, '--scene FILE --vary FILE --runs N [--recording IN]\n'
      '    [--controller MODULE:FUNCTION] [--require EXPRESSION] -o FOLDER',
      '[Monte Carlo](ensemble.md)'),
@@ -291,7 +295,8 @@ EXITS = [
           'line names it. `attitude_ensemble`: all runs failed. `attitude_regress`: the command '
           'ended too early, sent nothing, or took too long.'),
     ('3', '`attitude_identify`: the data does not determine all estimates, or the fit did not '
-          'converge. No scene is written without `--force`.'),
+          'converge. No scene is written without `--force`. `attitude_design`: no maneuver '
+          'determines all estimates.'),
     ('4', '`attitude_identify`: the fit is rejected; no scene is written without `--force`. '
           '`attitude_compare --check`: the model does not explain the measurements.'),
     ('128 + n', 'Signal n: 130 after Ctrl-C, 143 after SIGTERM, where a node that has started '

@@ -36,7 +36,7 @@ COMMANDS = [name for name in re.findall(r"'(attitude_\w+)'", (ROOT / 'setup.py')
             if name.split('_')[1] not in NODES]
 #: Marks for commands whose examples take a quarter of a minute.
 SLOWEST = {'attitude_regress': [pytest.mark.ros, pytest.mark.nightly],
-           'attitude_tradeoff': pytest.mark.nightly}
+           'attitude_design': pytest.mark.nightly, 'attitude_tradeoff': pytest.mark.nightly}
 
 
 def printed(capsys, name, option):

@@ -31,8 +31,8 @@ import pytest
 
 NODES = ('attitude_controller', 'attitude_lifecycle_node', 'attitude_monitor', 'attitude_node')
 #: Commands that test_readme.py also runs, as pip installs them.
-OFFLINE = ('attitude_compare', 'attitude_ensemble', 'attitude_identify', 'attitude_regress',
-           'attitude_replay', 'attitude_tradeoff')
+OFFLINE = ('attitude_compare', 'attitude_design', 'attitude_ensemble', 'attitude_identify',
+           'attitude_regress', 'attitude_replay', 'attitude_tradeoff')
 
 
 @pytest.mark.slow

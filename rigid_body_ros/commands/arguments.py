@@ -115,3 +115,20 @@ def reading_of(options: argparse.Namespace) -> Reading:
     return Reading(tuple(options.measured or ()), topics_of(options), options.interpolation,
                    options.time_source, options.frames and tuple(options.frames),
                    options.start, length_of(options), progress('reading', size=len))
+
+
+def estimate(text: str) -> tuple[str, ...]:
+    """Read the names of parameters to estimate, separated by commas, for use as a `type`."""
+    try:
+        from rigid_body_ros.inference.coordinates import checked_names
+        return checked_names([name.strip() for name in text.split(',')])
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error).removeprefix('estimate: ')) from error
+
+
+def prior(text: str) -> tuple[str, str]:
+    """Read a prior NAME=SIGMA, for use as the `type` of an option."""
+    name, equals, sigma = text.partition('=')
+    if not (name and equals and sigma):
+        raise argparse.ArgumentTypeError(f'expected NAME=SIGMA, found {text!r}')
+    return name, sigma

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from rigid_body_ros.commands import arguments
 from rigid_body_ros.commands.command import Command, Parser, positive, within
 from rigid_body_ros.commands.outputs import checked
-from rigid_body_ros.common.errors import InputError, listed, located
+from rigid_body_ros.common.errors import listed, located
 from rigid_body_ros.runtime.terminal import report
 
 if TYPE_CHECKING:
@@ -100,13 +100,15 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_scene()
     parser.add_measured('measured topic, or CSV file or TUM trajectory; may be repeated (default: '
                         'the only topic of a type with attitudes)')
-    parser.add_argument('--estimate', type=_names, default=('inertia', 'start'), metavar='NAMES',
+    parser.add_argument('--estimate', type=arguments.estimate, default=('inertia', 'start'),
+                        metavar='NAMES',
                         help='what to estimate, separated by commas (default: inertia,start): '
                         'inertia or inertia_diagonal, start, weight, damping, rotor_momentum, '
                         'NAME.moment of a field; torque_gain or torque_gains, torque_bias, '
                         'torque_delay or torque_lag; of sensors clock_offset, clock_drift, mount, '
                         'gyro_bias, gyro_scale, or of one sensor clock_offset@TOPIC')
-    parser.add_argument('--prior', type=_prior, action='append', default=[], metavar='NAME=SIGMA',
+    parser.add_argument('--prior', type=arguments.prior, action='append', default=[],
+                        metavar='NAME=SIGMA',
                         help='standard deviation of the guess of a parameter, in its unit or in '
                         'percent of the guess, which is the value in the scene or has no effect; '
                         'of a parameter that is not estimated, its plausible size as a suspect; '
@@ -132,21 +134,6 @@ def _add_arguments(parser: Parser) -> None:
                         'does not determine all estimates, or the fit is rejected')
     parser.add_degrees()
     parser.add_outputs('json', 'plot')
-
-
-def _prior(text: str) -> tuple[str, str]:
-    name, equals, sigma = text.partition('=')
-    if not (name and equals and sigma):
-        raise argparse.ArgumentTypeError(f'expected NAME=SIGMA, found {text!r}')
-    return name, sigma
-
-
-def _names(text: str) -> tuple[str, ...]:
-    try:
-        from rigid_body_ros.inference.coordinates import checked_names
-        return checked_names([name.strip() for name in text.split(',')])
-    except InputError as error:
-        raise argparse.ArgumentTypeError(str(error).removeprefix('estimate: ')) from error
 
 
 attitude_identify = Command(

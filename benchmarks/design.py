@@ -1,0 +1,156 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Measure whether the intervals that `attitude_design` expects are those of simulated flights.
+
+Run `python benchmarks/design.py [--flights N] [--vehicle NAME]`. For each of five vehicles, it
+designs a maneuver, flies it N times in the simulator of `simulated.py`, which shares no code with
+the package, fits every flight with `identify`, and prints a line of `docs/design_maneuver.md`.
+"""
+
+import argparse
+from multiprocessing import Pool
+import os
+import time
+from typing import NamedTuple
+
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
+import numpy as np  # noqa: E402
+from rigid_body_ros import (  # noqa: E402
+    EffortLog,
+    Experiment,
+    identify,
+    Measured,
+    Problem,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+    Wheel,
+)
+from rigid_body_ros.design.information import Question, Sensor  # noqa: E402
+from rigid_body_ros.design.maneuver import Maneuvers  # noqa: E402
+from rigid_body_ros.design.search import design  # noqa: E402
+import simulated  # noqa: E402
+
+SENSORS = [Sensor('/mocap', True, simulated.ATTITUDE_NOISE, simulated.SENSOR_HZ),
+           Sensor('/imu', False, simulated.RATE_NOISE, simulated.SENSOR_HZ)]
+
+
+class Vehicle(NamedTuple):
+    """A vehicle, its limits, and what is asked of its flight."""
+
+    inertia: list
+    limits: dict
+    seconds: float = 20.0
+    estimate: tuple = ('inertia',)
+    priors: dict = {}  # noqa: RUF012
+    #: The moment of the weight, and the axial inertia of each of three wheels.
+    weight: tuple = (0.0, 0.0, 0.0)
+    wheel: float = 0.0
+
+    def wheels(self):
+        """Return the wheels, one about each axis."""
+        return [Wheel(f'rw_{axis}', tuple(unit), self.wheel) for axis, unit in zip(
+            'xyz', np.eye(3))] if self.wheel else None
+
+    def fields(self):
+        """Return the field of the weight."""
+        return [UniformField(self.weight, simulated.GRAVITY, 'weight')] * any(self.weight)
+
+
+VEHICLES = {
+    'quadrotor': Vehicle([0.010, 0.012, 0.020], {
+        'torque': [0.1, 0.1, 0.05], 'rate': [2.0], 'angle': [np.radians(40.0)]}),
+    'CubeSat with wheels': Vehicle([0.036, 0.035, 0.0065], {
+        'torque': [2e-3] * 3, 'rate': [0.3], 'wheel_speed': [600.0]}, wheel=2e-5),
+    'rod': Vehicle([0.02, 0.02, 0.001], {
+        'torque': [0.05, 0.05, 0.005], 'rate': [2.0], 'angle': [1.0]}),
+    'air-bearing table': Vehicle([1.0, 1.2, 2.0], {
+        'torque': [0.5] * 3, 'rate': [0.5], 'angle': [np.radians(20.0)]},
+        estimate=('inertia', 'weight.moment'), weight=(0.002, -0.001, -0.02)),
+    'thrown device': Vehicle([0.020, 0.030, 0.040, 0.001, -0.002, 0.0005], {
+        'torque': [0.0] * 3, 'rate': [6.0]}, seconds=2.0, priors={'inertia.ixx': '1%'}),
+}
+
+
+def maneuvers_of(vehicle):
+    """Return the maneuvers of a vehicle, with torques at the rate of the simulator."""
+    body = RigidBody.from_moments(*vehicle.inertia)
+    problem = Problem(body, State(0), wheels=vehicle.wheels(), fields=vehicle.fields())
+    limits = {name: np.array(limit) for name, limit in vehicle.limits.items()}
+    return Maneuvers(problem, limits, vehicle.seconds, simulated.TORQUE_HZ)
+
+
+def flown(name, problem, expected, seed):
+    """Simulate a flight and fit it; return the errors and the half-widths of the estimates."""
+    vehicle, random = VEHICLES[name], [np.random.default_rng((1, seed))]
+    efforts, tensor = problem.efforts, problem.body.inertia - vehicle.wheel * np.eye(3)
+    kind = simulated.Kind(name, seconds=vehicle.seconds + 0.1, inertia=tensor,
+                          weight=vehicle.weight)
+    torques = np.zeros((1, round(kind.seconds * simulated.TORQUE_HZ), 3))
+    log = -efforts.efforts if efforts else problem.logs[0].torques if problem.logs \
+        else np.zeros((1, 3))
+    torques[0, :len(log)] = log
+    off = 0.02 * random[0].standard_normal((2, 1, 3)) * (not vehicle.wheel)
+    start = simulated.exponential(off[0]), problem.start.angular_velocity + off[1]
+    attitudes, rates = simulated.integrated(kind, simulated.acting(kind, torques, random), start,
+                                            bool(vehicle.wheel))
+    times_ns = np.arange(torques.shape[1]) * (simulated.SECOND // simulated.TORQUE_HZ)
+    seen = simulated.measured(kind, random[0], times_ns, torques[0], attitudes[:, 0], rates[:, 0],
+                              1.0)
+    experiment = Experiment(
+        State(0), TorqueLog(times_ns, torques[0]) if problem.logs else None,
+        [Measured('/mocap', seen.attitude_ns, seen.attitude, None),
+         Measured('/imu', seen.rate_ns, None, seen.rates)], wheels=vehicle.wheels(),
+        fields=vehicle.fields(), efforts=efforts and EffortLog(times_ns, -torques[0]))
+    factor = 1.0 + 0.01 * random[0].standard_normal() if vehicle.priors else 1.05
+    fit = identify(RigidBody(factor * problem.body.inertia), experiment, estimate=(
+        *vehicle.estimate, 'start'), priors=vehicle.priors)
+    found = [fit.estimates[one] for one in expected.names]
+    values = [one.value for one in found] - expected.values
+    return values, [0.5 * np.ptp(one.interval_95 or (-np.inf, np.inf)) for one in found]
+
+
+def main():
+    """Print a line for each vehicle."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--flights', type=int, default=200)
+    parser.add_argument('--vehicle', choices=VEHICLES)
+    options = parser.parse_args()
+    for name, vehicle in VEHICLES.items():
+        if options.vehicle not in (None, name):
+            continue
+        begin, maneuvers = time.process_time(), maneuvers_of(vehicle)
+        result = design(maneuvers, Question(vehicle.estimate, SENSORS, vehicle.priors))
+        taken = time.process_time() - begin
+        best = min(one.widest for one in result.usual.values())
+        loads = maneuvers.loads(result.flown, 1000)
+        with Pool(os.cpu_count()) as pool:
+            found = pool.starmap(flown, [(name, result.flown, result.expected._replace(priors={}),
+                                          seed) for seed in range(options.flights)])
+        values, widths = map(np.array, zip(*found))
+        of_errors = result.expected.half_widths / (1.96 * np.sqrt(np.mean(values ** 2, axis=0)))
+        of_fits = result.expected.half_widths / np.median(widths, axis=0)
+        print(f'{name}: expected / found from the errors {of_errors.min():.2f} to '
+              f'{of_errors.max():.2f}, from the fits {of_fits.min():.2f} to {of_fits.max():.2f}; '
+              f'{100.0 * np.mean(np.abs(values) <= widths):.1f} % covered; '
+              f'{best / result.expected.widest:.1f} times narrower than the usual; largest load '
+              f'{max(loads.values()):.4f}; {taken:.0f} s', flush=True)
+
+
+if __name__ == '__main__':
+    main()

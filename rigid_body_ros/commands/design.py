@@ -1,0 +1,168 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The command `attitude_design`."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+import math
+from pathlib import Path
+import re
+from typing import TYPE_CHECKING
+
+from rigid_body_ros.commands.arguments import estimate, load_scene, prior
+from rigid_body_ros.commands.command import Command, Parser, positive, within
+from rigid_body_ros.commands.outputs import checked
+from rigid_body_ros.common.errors import InputError, located
+from rigid_body_ros.runtime.terminal import progress
+
+if TYPE_CHECKING:
+    from rigid_body_ros.common.arrays import Floats
+    from rigid_body_ros.design.information import Sensor
+    from rigid_body_ros.design.maneuver import Maneuvers
+    from rigid_body_ros.scene import Scene
+
+#: The exit statuses of the command, which are explained in docs/commands.md.
+OK, PARTIAL = 0, 3
+#: A topic whose name contains one of these words measures rates by default.
+_GYRO = re.compile('gyro|imu|rate|angular_velocity')
+_SENSOR = re.compile(r'([^:@]+)(:attitude|:rates)?:([^:@]+)(?:@([^:@]+))?')
+
+
+def _run(options: argparse.Namespace) -> int:
+    from rigid_body_ros.design.information import Question
+    from rigid_body_ros.design.search import design
+    output = options.output or ''
+    is_csv = output.lower().endswith('.csv')
+    with checked(options, (output, '.csv' if is_csv else '.mcap')) as outputs:
+        scene = load_scene(options)
+        maneuvers = _maneuvers(options, scene)
+        if output and (maneuvers.is_free or (is_csv and scene.named_wheels)):
+            raise InputError(f'-o: expected none without torque, and not .csv for commands of '
+                             f'wheels, found {output}')
+        question = Question([name for name in options.estimate if name != 'start'],
+                            options.sensors, dict(options.prior),
+                            options.gravity or Question.gravity, options.criterion)
+        with located(options.scene):
+            result = design(maneuvers, question, progress('designing', ' maneuvers'))
+        if output:
+            with outputs.writing(output):
+                result.write(output, scene)
+        outputs.write_asked(scene, lambda: result.report(
+            Path(options.scene).name, options.degrees), result.as_dict)
+    outputs.show(result.text(options.degrees), 17)
+    return OK if result.expected.is_known.all() else PARTIAL
+
+
+def _maneuvers(options: argparse.Namespace, scene: Scene) -> Maneuvers:
+    """Return the maneuvers within the given limits, and those of the motors of the scene."""
+    import numpy as np
+    from rigid_body_ros.design.maneuver import Maneuvers, RATE, TORQUE, TORQUE_RATE, WHEEL_SPEED
+    limits, wheels, problem = dict(options.limit), scene.named_wheels, scene.problem()
+    for name in {*limits} & {TORQUE, TORQUE_RATE}:
+        if len(limits[name]) not in (1, count := len(wheels) or 3):
+            raise InputError(f'--limit {name}: expected 1 number or {count}, found '
+                             f'{len(limits[name])}')
+        limits[name] = np.broadcast_to(limits[name], count)
+    for name, own in ((TORQUE, 'max_torque'), (WHEEL_SPEED, 'max_speed')):
+        motors = np.array([getattr(wheel, own) or np.inf for wheel in wheels])
+        if np.isfinite(motors).any():
+            limits[name] = np.minimum(limits.get(name, np.inf), motors)
+    if wheels:  # the limits of the motors are among the limits of the maneuver
+        problem = problem.replaced(wheels=[replace(wheel, max_torque=0.0, max_speed=0.0)
+                                           for wheel in wheels])
+    torque = limits.get(TORQUE)
+    if torque is None or not (torque.all() or (RATE in limits and not torque.any())):
+        raise InputError('--limit: expected a torque greater than zero about all axes, or '
+                         'torque=0 and a rate, found others')
+    return Maneuvers(problem, limits, options.duration, options.rate)
+
+
+def _limit(text: str) -> tuple[str, Floats]:
+    import numpy as np
+    from rigid_body_ros.design.maneuver import ANGLE, LIMITS, RATE, TORQUE
+    name, _, values = text.partition('=')
+    plain = values.removesuffix('deg') if name in (RATE, ANGLE) else values
+    try:
+        numbers = np.array([*map(float, plain.split(','))])
+    except ValueError:
+        numbers = np.array([math.nan])
+    least = 0.0 if name == TORQUE else 1e-12
+    is_good = (numbers >= least).all() and (numbers < math.inf).all()
+    if name not in LIMITS or not is_good or (len(numbers) > 1 and TORQUE not in name):
+        raise argparse.ArgumentTypeError(f'expected NAME=VALUE, a name among {", ".join(LIMITS)} '
+                                         f'and a positive number, found {text!r}')
+    return name, numbers if plain == values else np.radians(numbers)
+
+
+def _sensors(text: str) -> list[Sensor]:
+    from rigid_body_ros.design.information import Sensor
+    sensors = []
+    for part in text.split(','):
+        found = _SENSOR.fullmatch(part.strip())
+        if not found:
+            raise argparse.ArgumentTypeError(
+                'expected TOPIC:attitude:RAD or TOPIC:rates:RAD/S, and @HZ if the sensor does '
+                f'not measure at 100 Hz, found {part!r}')
+        topic, quantity, noise, hz = found.groups()
+        is_attitude = quantity == ':attitude' if quantity else not _GYRO.search(topic)
+        sensors.append(Sensor(topic, is_attitude, positive(noise), positive(hz or '100')))
+    return sensors
+
+
+def _add_arguments(parser: Parser) -> None:
+    parser.add_scene()
+    parser.add_argument('--limit', type=_limit, action='append', required=True,
+                        metavar='NAME=VALUE', help='torque (N m) or torque_rate (N m/s), for all '
+                        'or for each axis or named wheel; rate (rad/s), angle from the start '
+                        '(rad), as in angle=40deg, or wheel_speed (rad/s); may be repeated. With '
+                        'torque=0, only the initial angular velocity is chosen')
+    parser.add_argument('--duration', type=positive, required=True, metavar='SECONDS',
+                        help='duration of the maneuver')
+    parser.add_argument('--sensors', type=_sensors, required=True, metavar='TOPIC:NOISE,...',
+                        help='sensors with their noise: TOPIC:attitude:RAD or TOPIC:rates:RAD/S, '
+                        'and @HZ unless 100 Hz. By default, topics with imu, gyro, rate or '
+                        'angular_velocity in their names measure rates, and others attitudes')
+    parser.add_argument('--estimate', type=estimate, default=('inertia',), metavar='NAMES',
+                        help='what to identify, as for attitude_identify (default: inertia); the '
+                        'start is always estimated')
+    parser.add_argument('--prior', type=prior, action='append', default=[], metavar='NAME=SIGMA',
+                        help='what is known, as for attitude_identify; with a prior of the '
+                        'inertia, the maneuver also suits three bodies drawn from it')
+    parser.add_argument('--gravity', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
+                        help='gravity for weight, m/s^2, space axes (default: 0 0 -9.80665)')
+    parser.add_argument('--criterion', choices=('minmax', 'D', 'A'), default='minmax',
+                        help='what to make small: the widest interval (minmax, the default), the '
+                        'volume of all (D), or the sum of their squares (A), each relative to its '
+                        'scale')
+    parser.add_argument('--rate', type=within(1.0, 1000.0), default=50.0, metavar='HZ',
+                        help='rate of the torque samples (default: 50)')
+    parser.add_argument('-o', '--output', metavar='PROFILE', help='write the torques, and the '
+                        'motion as a reference for a controller, as MCAP or CSV')
+    parser.add_degrees()
+    parser.add_outputs('json', 'plot')
+
+
+attitude_design = Command(
+    'attitude_design',
+    'Design the maneuver after which attitude_identify knows most. Print the expected intervals '
+    'beside those after a doublet, a multisine and a chirp within the same limits, and what would '
+    'make them narrower. If no maneuver determines all estimates, the exit status is 3.',
+    ('--scene config/tumbler.yaml --limit torque=0.1 --limit rate=1 --limit angle=40deg '
+     '--duration 20 --sensors /imu:0.002,/mocap:0.002 -o fly.mcap',
+     '--scene config/tumbler.yaml --limit torque=0 --limit rate=1 --duration 30 '
+     '--sensors /imu:rates:0.001 --prior inertia.ixx=1%'),
+    _add_arguments, _run)

@@ -1,0 +1,252 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Search for the maneuver after which an identification knows most, and report it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rigid_body_ros import messages
+from rigid_body_ros.common.arrays import as_json, Floats
+from rigid_body_ros.design.information import Expected, Question, Sensor
+from rigid_body_ros.design.maneuver import ANGLE, FINE, Maneuvers
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, Writer
+from rigid_body_ros.report import moving_body
+from rigid_body_ros.report.charts import Curves, Panel, RATES
+from rigid_body_ros.report.panels import torque_panels
+from rigid_body_ros.report.report import Report, table
+from rigid_body_ros.report.text import lines, numbers, scaled
+from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.terminal import no_progress, Track
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene.quantities import components_of, quantity_of
+
+#: Maneuvers in a population of the search, the number of maneuvers that it tries in all, and the
+#: number that it tries to find out what another limit or sensor would tell.
+_POPULATION, _TRIALS, _OTHERS = 36, 2880, 360
+#: Size of the changes from which a search for an alternative begins, relative to the bounds.
+_NEAR = 0.05
+#: Number of bodies, drawn from a prior of the inertia, for which a maneuver is also good.
+_DRAWS = 3
+#: The search computes torques and samples at no more than these rates, Hz.
+_TORQUE_HZ, _SENSOR_HZ = 20.0, 5.0
+#: A limit is named as one that limits the maneuver if its load is above this number.
+_ACTIVE = 0.98
+#: The topic of commands to named wheels, and the topics of the reference for a controller.
+_WHEELS, _REFERENCE = '/wheel_command', (f'/reference{ATTITUDE}', f'/reference{ANGULAR_VELOCITY}')
+
+
+def design(maneuvers: Maneuvers, question: Question, track: Track = no_progress) -> Design:
+    """
+    Find the maneuver after which an identification knows most.
+
+    Raises
+    ------
+    ValueError
+        The question asks for something that the vehicle or the sensors do not have.
+
+    """
+    some = maneuvers.flown(maneuvers.motion(maneuvers.bounds[:, 1]))
+    bodies = _bodies(some.body, question.expected(some, maneuvers.seconds, _SENSOR_HZ))
+    best, flown, expected = _best(maneuvers, question, bodies, track)
+    usual: dict[str, Expected] = {}
+    for name, motion in maneuvers.usual():
+        other = question.expected(maneuvers.held(motion, bodies[:1]), maneuvers.seconds)
+        usual[name] = min(usual.get(name, other), other,
+                          key=lambda one: one.cost(question.criterion))
+    others = {name: _best(*other, bodies[:1], track, best)[2]
+              for name, other in _alternatives(maneuvers, question)}
+    return Design(maneuvers, question, flown, expected, usual, others)
+
+
+def _bodies(body: RigidBody, known: Expected) -> list[RigidBody]:
+    """Return the body and, if its inertia has a prior, some bodies drawn from the prior."""
+    sigmas = np.array([known.priors[name].sigma if name in known.priors else 0.0
+                       for name in components_of('inertia')])
+    random, bodies = np.random.default_rng(0), [body]
+    while sigmas.any() and len(bodies) <= _DRAWS:
+        with suppress(ValueError):  # an impossible body
+            bodies.append(body.with_entries(body.entries + sigmas * random.standard_normal(6)))
+    return bodies
+
+
+def _best(maneuvers: Maneuvers, question: Question, bodies: list[RigidBody], track: Track,
+          near: Floats | None = None) -> tuple[Floats, Problem, Expected]:
+    """Return the numbers and the flight of the best maneuver, and what it tells."""
+    from scipy.optimize import differential_evolution  # slow to import
+    quick, bounds = replace(maneuvers, hz=min(maneuvers.hz, _TORQUE_HZ)), maneuvers.bounds
+    random = np.random.default_rng(0)
+    trials = _OTHERS if near is not None else _TRIALS // len(bodies)
+    first = random.random((_POPULATION, len(bounds))) if near is None else \
+        (near - bounds[:, 0]) / np.ptp(bounds, axis=1) + _NEAR * np.vstack([
+            0.0 * near, random.standard_normal((_POPULATION - 1, len(near)))])
+    steps = iter(track(range(trials), trials))
+
+    def cost(trial: Floats) -> float:
+        next(steps, None)
+        flown = quick.flown(quick.motion(trial))
+        return max(question.expected(flown.replaced(body=body), maneuvers.seconds, _SENSOR_HZ)
+                   .cost(question.criterion) for body in bodies)
+    found = differential_evolution(
+        cost, bounds, init=bounds[:, 0] + np.clip(first, 0.0, 1.0) * np.ptp(bounds, axis=1),
+        maxiter=trials // _POPULATION - 1, tol=0.0, polish=False, seed=0).x
+    flown = maneuvers.held(maneuvers.motion(found), bodies)
+    return found, flown, question.expected(flown, maneuvers.seconds)
+
+
+def _alternatives(maneuvers: Maneuvers, question: Question
+                  ) -> Iterator[tuple[str, tuple[Maneuvers, Question]]]:
+    """Generate what may tell more: more time, a larger angle, and another quantity."""
+    yield 'twice as long', (replace(maneuvers, seconds=2.0 * maneuvers.seconds), question)
+    if ANGLE in maneuvers.limits:
+        limits = {**maneuvers.limits, ANGLE: 1.5 * maneuvers.limits[ANGLE]}
+        yield 'angle x 1.5', (replace(maneuvers, limits=limits), question)
+    first = question.sensors[0]
+    if all(sensor.is_attitude == first.is_attitude for sensor in question.sensors):
+        what = 'rates' if first.is_attitude else 'attitude'
+        sensor = Sensor(f'/{what}', not first.is_attitude, first.noise, first.hz)
+        yield f'{what} too', (maneuvers, replace(question, sensors=[*question.sensors, sensor]))
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """
+    A maneuver, and what an identification will know after it.
+
+    Attributes
+    ----------
+    maneuvers : Maneuvers
+    question : Question
+    flown : Problem
+        The flight.
+    expected : Expected
+    usual, others : dict of str to Expected
+        What the usual maneuvers tell within the same limits, and what may tell more.
+
+    """
+
+    maneuvers: Maneuvers
+    question: Question
+    flown: Problem
+    expected: Expected
+    usual: Mapping[str, Expected]
+    others: Mapping[str, Expected]
+
+    @property
+    def headline(self) -> str:
+        """Return what is not determined, or how wide the widest interval is."""
+        names = [name for name, is_known in zip(self.expected.names, self.expected.is_known)
+                 if not is_known]
+        if names:
+            return f'no maneuver within these limits determines {", ".join(names)}'
+        name, best = min(self.usual.items(), key=lambda pair: pair[1].widest)
+        return f'all intervals within {100.0 * self.expected.widest:.2g} % of their scales, ' \
+               f'{best.widest / self.expected.widest:.2g} times narrower than after a {name}'
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result as JSON types, with None for intervals that are not known."""
+        every = {'designed': self.expected, **self.usual, **self.others}
+        return {
+            'estimates': {name: {'value': value, 'half_width_95': width} for name, value, width
+                          in zip(self.expected.names, self.expected.values.tolist(),
+                                 as_json(self.expected.half_widths))},
+            'unidentifiable': [asdict(one) for one in self.expected.unknown],
+            'half_widths_95': {name: dict(zip(one.names, as_json(one.half_widths)))
+                               for name, one in every.items()},
+            'initial_angular_velocity_rad_s': self.flown.start.angular_velocity.tolist(),
+            'loads': self.maneuvers.loads(self.flown, FINE)}
+
+    def text(self, degrees: bool = False) -> str:
+        """Return the facts, and a table of the expected intervals."""
+        rows = self.table(degrees)
+        widths = [max(map(len, column)) + 2 for column in zip(*rows)]
+        return lines([*(f'{name:17}{text}' for name, text in self.rows()), *(
+            f'{row[0]:{widths[0]}}' + ''.join(map(str.rjust, row[1:], widths[1:]))
+            for row in rows)])
+
+    def table(self, degrees: bool = False) -> list[list[str]]:
+        """Return a table of the half-widths of the expected intervals, with a header."""
+        every = {'designed': self.expected, **self.usual, **self.others}
+        rows = [['parameter', 'value', *every, 'unit']]
+        for k, name in enumerate(self.expected.names):
+            factor, unit = scaled(quantity_of(name).unit, degrees)
+            rows.append([name, f'{factor * self.expected.values[k]:.5g}', *(
+                f'± {factor * one.half_widths[k]:.2g}' if one.is_known[k] else 'unknown'
+                for one in every.values()), unit])
+        return rows
+
+    def rows(self) -> Iterator[tuple[str, str]]:
+        """Generate all facts but the table, each as a name and a text."""
+        yield 'result', self.headline
+        for direction in self.expected.unknown:
+            yield 'not determined', f'{", ".join(direction.components)}: {direction.reason}'
+        loads = self.maneuvers.loads(self.flown, FINE)
+        yield 'limited by', ', '.join(name for name in sorted(loads) if loads[name] > _ACTIVE)
+        if self.maneuvers.is_free:
+            yield 'start', f'{numbers(self.flown.start.angular_velocity, 4)} rad/s, body axes'
+        for topic, is_attitude, noise, hz in self.question.sensors:
+            yield 'sensor', f'{topic}: {"attitude" if is_attitude else "rates"}, noise ' \
+                f'{noise:g} {"rad" if is_attitude else "rad/s"} at {hz:g} Hz'
+
+    def report(self, name: str, degrees: bool = False) -> Report:
+        """Return the report; `name` is that of the scene."""
+        times_ns, efforts = self.maneuvers.times_ns, self.flown.efforts
+        start_ns, end_ns = times_ns[[0, -1]].tolist()
+        panels = torque_panels(self.flown.logs, start_ns, end_ns)
+        for label, unit, values, names in (
+                *([('motor torques', 'N m', efforts.efforts, self._wheels)] if efforts else []),
+                ('angular velocity, body axes', 'rad/s',
+                 self.flown.propagate(at=times_ns).angular_velocity, RATES)):
+            panels.append(Panel(label, unit, [Curves.thinned(times_ns, values, names, start_ns)]))
+        header, *rows = self.table(degrees)
+        return Report(f'{name}: a maneuver', self.headline, [*self.rows()], panels,
+                      moving_body.of_motion(self.flown, times_ns), table=table(header, rows))
+
+    @property
+    def _wheels(self) -> tuple[str, ...]:
+        wheels = self.flown.named_wheels
+        return wheels.names if wheels else ()
+
+    def write(self, path: str | Path, scene: Scene) -> None:
+        """Write the torques and the motion, a reference for a controller, as MCAP or as .csv."""
+        times_ns, efforts = self.maneuvers.times_ns, self.flown.efforts
+        motion = self.flown.propagate(at=times_ns)
+        torques = efforts.efforts if efforts else self.flown.logs[0].torques
+        if Path(path).suffix.lower() == '.csv':
+            columns = 1e-9 * times_ns, torques, motion.attitude, motion.angular_velocity
+            with files.atomic_output(path, '.csv') as part:
+                np.savetxt(part, np.column_stack(columns), '%.17g', ',', comments='', header=(
+                    'time (s),tx (Nm),ty (Nm),tz (Nm),qx,qy,qz,qw,wx (rad/s),wy (rad/s),'
+                    'wz (rad/s)'))
+            return
+        topic, kind = (_WHEELS, messages.joint_commands(self._wheels)) if efforts else \
+            (f'/{scene.torque_topics[0].lstrip("/")}', messages.WRENCH)
+        with Writer(path) as writer:
+            writer.add_topic(topic, kind)
+            forces = np.zeros((len(torques), 0 if efforts else 3))
+            for stamp_ns, row in zip(times_ns.tolist(), np.hstack([forces, torques])):
+                writer.write(topic, stamp_ns, kind.encode(stamp_ns, scene.body_frame, row))
+            for name, of_topic in zip(_REFERENCE, (messages.QUATERNION, messages.VECTOR3)):
+                writer.add_topic(name, of_topic)
+            writer.write_columns(times_ns, [
+                Column(_REFERENCE[0], scene.space_frame, motion.attitude),
+                Column(_REFERENCE[1], scene.body_frame, motion.angular_velocity)])
