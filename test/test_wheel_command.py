@@ -21,14 +21,15 @@ import sys
 from conftest import at_night, ROOT, SECOND
 import four_wheels
 from geometry_msgs.msg import WrenchStamped
-from live import commit, decoded, PATIENT, run_clock
-from live_session import COMMITTED, LiveSession, RELIABLE
+from live import commit, decoded, PATIENT, run_clock, Session
+from live_session import COMMITTED, RELIABLE
 import numpy as np
-from pyarrow import parquet
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import EffortLog, messages, Propagator, read, recording, regress, scene, State
 from rigid_body_ros.commands import main
+from rigid_body_ros.ensemble.dispersions import Dispersion
+from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import verify
 from sensor_msgs.msg import JointState
@@ -52,7 +53,7 @@ STEP_NS = SECOND // 50
 NAN = np.nan
 
 
-class Wheels(LiveSession):
+class Wheels(Session):
     """A session that commands wheels, and records their states and all logs."""
 
     def _connect(self):
@@ -71,6 +72,18 @@ class Wheels(LiveSession):
     def turn(self, stamp_ns, efforts, frame_id=''):
         """Publish efforts, N m, in the order of the wheels; a wheel with NaN is not listed."""
         self._motors.publish(COMMANDS.encode(stamp_ns, frame_id, efforts))
+
+    def answer(self, stamp_ns, efforts):
+        """Publish efforts, and return the speeds and efforts of the response, a step later."""
+        self.turn(stamp_ns, efforts)
+        self.wait_until(lambda: stamp_ns + STEP_NS in self.states(), 'a response')
+        return self.states()[stamp_ns + STEP_NS]
+
+    def counts(self, received):
+        """Return the counts of commands once this many have been received."""
+        self.wait_until(lambda: self.diagnosis('wheel commands')[0].get('received') == received,
+                        'all commands')
+        return self.diagnosis('wheel commands')[0]
 
     def send(self, data):
         """Publish a serialized command."""
@@ -113,7 +126,7 @@ def checked(tmp_path, live, torques=TORQUES[:1]):
     return problem, result
 
 
-@pytest.mark.parametrize('friction', [0.0, pytest.param(2e-5, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize('friction', [0.0, *at_night(2e-5)])
 def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, friction):
     random = np.random.default_rng(38)
     with Wheels(SCENE, domain, *SOURCES, *PATIENT, *ACTUATOR, '-p', 'torque_timeout:=0.05',
@@ -121,7 +134,7 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, fr
         disturbance = live.node.create_publisher(WrenchStamped, 'disturbance', 1000)
         live.wait_until(disturbance.get_subscription_count, 'the node to subscribe')
         start_ns, plan = live.now_ns(), []
-        for k in range(600):
+        for k in range(150):
             stamp_ns = start_ns + k * SECOND // 150 + int(random.integers(0, SECOND // 500))
             delay_ns = int(random.integers(0, SECOND // 2)) * int(random.integers(0, 2))
             efforts = random.normal(size=4) * 0.006
@@ -135,18 +148,18 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, fr
                 live.publish(stamp_ns, 'base_link', 0.002 * random.normal(size=3))
                 disturbance.publish(messages.wrench(
                     stamp_ns - 1, 'world', 0.001 * random.normal(size=3)))
-        live.wait_until(lambda: len(live.commands()) == 600, 'all commands')
+        live.wait_until(lambda: len(live.commands()) == 150, 'all commands')
         live.wait_until(lambda: [len(decoded(live, topic, messages.WRENCH)) for topic in TORQUES]
-                        == [200, 200], 'all torques')
+                        == [50, 50], 'all torques')
         arrived_ns = live.now_ns()
-        commit(live, 1 + 600 + 200)
+        commit(live, 1 + 150 + 50)
         counts, _, _ = live.diagnosis('wheel commands')
         problem, result = checked(tmp_path, live, TORQUES)
     stamps = [message.stamp_ns for message in live.commands()]
     assert sorted(stamps) == sorted(stamp for _, stamp, _ in plan)
     assert np.any(np.diff(stamps) < 0)
     assert {*stamps} < {*result.stamps_ns.tolist()}
-    assert counts['applied'] == 600
+    assert counts['applied'] == 150
     given = np.array([efforts for *_, efforts in plan])
     assert counts['clipped to max_torque'] == np.sum(np.abs(given) > 0.004)
     # States that were published after all commands had arrived agree with the motion.
@@ -162,63 +175,73 @@ def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(t
                                                                                friction):
     run = scene.load(SCENE)
     with Wheels(SCENE, domain, *LOCKSTEP, '-p', 'history:=0.1', '-p', 'max_future:=0.05',
-                '-p', 'rw_x.max_speed:=5.0', '-p', f'rw_skewed.friction:={friction}') as live:
+                '-p', 'rw_x.max_speed:=2.0', '-p', f'rw_skewed.friction:={friction}') as live:
         # Only the controller of the wheels sends commands.
         live.disconnect()
         first, *others = run.named_wheels
         others[-1] = replace(others[-1], friction=friction)
         judge = Propagator(run.body, replace(run.start, time_ns=SECOND), history=10.0,
-                           wheels=[replace(first, max_speed=5.0), *others])
-        for number in range(100):
+                           wheels=[replace(first, max_speed=2.0), *others])
+        for number in range(40):
             stamp_ns = SECOND + number * STEP_NS
             efforts = [0.003, 0.001 * np.sin(0.3 * number), NAN, -0.01 if number % 2 else NAN]
-            live.turn(stamp_ns, efforts)
-            live.wait_until(lambda due_ns=stamp_ns + STEP_NS: due_ns in live.states(),
-                            'a response')
+            speeds, acting = live.answer(stamp_ns, efforts)
             judge.apply_efforts(stamp_ns, {name: effort for name, effort in zip(WHEELS, efforts)
                                            if effort == effort})
             state = judge.at(stamp_ns + STEP_NS)
-            speeds, acting = live.states()[stamp_ns + STEP_NS]
             np.testing.assert_array_equal(speeds, state.wheel_speeds)
             np.testing.assert_array_equal(acting, state.wheel_efforts)
-        assert abs(speeds[0] - 5.0) < 1e-12
-        live.wait_until(lambda: live.diagnosis('wheel commands')[0]['applied'] == 100, 'counts')
-        counts, _, _ = live.diagnosis('wheel commands')
+        assert abs(speeds[0] - 2.0) < 1e-12
+        counts = live.counts(40)
         # Counted only for states that late commands can no longer change.
-        assert 0 < counts['limited at max_speed'] < 100
-        assert counts['clipped to max_torque'] == 50
+        assert 0 < counts['limited at max_speed'] < 40
+        assert counts['clipped to max_torque'] == 20
         # A repeated command counts as the same, even though NaN does not equal NaN.
         live.turn(stamp_ns, efforts)
-        live.wait_until(lambda: live.diagnosis('wheel commands')[0]['received'] == 101, 'it')
-        counts, _, _ = live.diagnosis('wheel commands')
-        assert (counts['applied'], counts['rejected: duplicate, differs (same stamp)']) == (101, 0)
+        encoded, stamp_ns = messages.encoded_joints, stamp_ns + STEP_NS // 2
+        for data in (encoded(stamp_ns, '', ['rw_x', 'rw_w'], effort=[0.001, 0.001]),
+                     encoded(stamp_ns, '', ['rw_x', 'rw_x'], effort=[0.001, 0.001]),
+                     encoded(stamp_ns, '', ['rw_x', 'rw_y'], velocity=[1.0, 2.0]),
+                     encoded(stamp_ns, '', ['rw_x', 'rw_y'], effort=[0.001, NAN]),
+                     encoded(stamp_ns, '', []), messages.epoch_marker(State(stamp_ns), COMMANDS),
+                     COMMANDS.encode(stamp_ns, '', [1e300, 0.0, 0.0, 0.0])):
+            live.send(data)
+        counts = live.counts(48)
+        assert counts['applied'] == 41
+        assert {name.removeprefix('rejected: '): count for name, count in counts.items()
+                if name.startswith('rejected') and count} == {
+                    'malformed': 5, 'too large': 1, 'unknown frame': 1}
+        assert ('command on wheel_command rejected (1 so far): malformed: name: expected some of '
+                "'rw_x', 'rw_y', 'rw_z', 'rw_skewed', found 'rw_w'") in live.words()
         _, result = checked(tmp_path, live)
-    assert len(result.stamps_ns) == 100
+    assert len(result.stamps_ns) == 40
 
 
-def test_epochs_keep_the_speeds_of_the_wheels_and_a_reset_does_not(tmp_path, domain):
-    with Wheels(SCENE, domain, *LOCKSTEP) as live:
+def test_epochs_and_checkpoints_keep_the_speeds_of_the_wheels_and_a_reset_does_not(tmp_path,
+                                                                                   domain):
+    options = (*LOCKSTEP, '-p', f'checkpoint:={tmp_path / "checkpoint.json"}')
+    with Wheels(SCENE, domain, *options) as live:
         def ask(number):
-            live.publish(SECOND + number * STEP_NS, '', [0.0, 0.001, 0.0])
-            live.turn(SECOND + number * STEP_NS, [0.002, NAN, -0.003, 0.001])
-            live.wait_until(lambda: SECOND + (number + 1) * STEP_NS in live.states(), 'a response')
+            stamp_ns = SECOND + number * STEP_NS
+            live.publish(stamp_ns, '', [0.0, 0.001, 0.0])
+            return live.answer(stamp_ns, [0.002, NAN, -0.003, 0.001])
         for number in range(20):
-            ask(number)
-        speeds, _ = live.states()[SECOND + 20 * STEP_NS]
+            speeds, _ = ask(number)
         begin_ns = SECOND + 20 * STEP_NS + 5
         live.set_state(State(begin_ns, (0.0, 0.6, 0.0, 0.8), (0.1, 0.2, 0.3)))
         live.wait_until(lambda: begin_ns in live.states(), 'the new epoch')
         kept, acting = live.states()[begin_ns]
         np.testing.assert_allclose(kept, speeds, rtol=1e-6)
         assert acting.tolist() == [0.002, 0.0, -0.003, 0.001]
-        for number in range(21, 30):
+        for number in range(21, 25):
             ask(number)
         live.reset()
-        for number in range(31, 40):
+        for number in range(31, 35):
             ask(number)
         # The parameters belong to the last epoch, whose initial speeds differ from the first ones.
         live.set_state(State(SECOND + 40 * STEP_NS + 5, (0.0, 0.6, 0.0, 0.8)))
-        ask(41)
+        before, _ = ask(41)
+        ask(42)
         _, result = checked(tmp_path, live)
     assert result.epochs == 4
     starts = [messages.epoch_start(one.stamp_ns, one.frame_id) for one in (
@@ -227,6 +250,13 @@ def test_epochs_keep_the_speeds_of_the_wheels_and_a_reset_does_not(tmp_path, dom
     assert starts[0].wheel_speeds.tolist() == starts[2].wheel_speeds.tolist() \
         == [0.0, 0.0, 0.0, 100.0]
     np.testing.assert_allclose(starts[1].wheel_speeds, kept, rtol=1e-13, atol=1e-13)
+    with Wheels(SCENE, domain, *options) as live:
+        live.disconnect()
+        stamp_ns = SECOND + 42 * STEP_NS
+        live.wait_until(lambda: stamp_ns in live.states(), 'the state of the checkpoint')
+        np.testing.assert_array_equal(live.states()[stamp_ns][0], before)
+        live.answer(stamp_ns + STEP_NS, [0.004, NAN, NAN, NAN])
+        checked(tmp_path, live)
 
 
 @pytest.mark.nightly
@@ -255,53 +285,6 @@ def test_a_jump_of_the_clock_keeps_speeds_and_efforts(tmp_path, domain):
     assert found[max(found)][1].tolist() == [0.003, 0.001, 0.0, -0.002]
     np.testing.assert_array_equal(
         problem.propagate(at=[max(found)]).wheel_speeds[0], found[max(found)][0])
-
-
-def test_a_wrong_command_is_rejected_whole_and_counted(domain):
-    encoded = messages.encoded_joints
-    with Wheels(SCENE, domain, *SOURCES, *PATIENT) as live:
-        stamp_ns = live.now_ns()
-        wrong = [encoded(stamp_ns, '', ['rw_x', 'rw_w'], effort=[0.001, 0.001]),
-                 encoded(stamp_ns, '', ['rw_x', 'rw_x'], effort=[0.001, 0.001]),
-                 encoded(stamp_ns, '', ['rw_x', 'rw_y'], velocity=[1.0, 2.0]),
-                 encoded(stamp_ns, '', ['rw_x', 'rw_y'], effort=[0.001, NAN]),
-                 encoded(stamp_ns, '', [])]
-        for data in wrong:
-            live.send(data)
-        live.turn(stamp_ns, [1e300, 0.0, 0.0, 0.0])
-        live.send(messages.epoch_marker(State(stamp_ns), COMMANDS))
-        live.turn(stamp_ns, [0.001, NAN, NAN, NAN])
-        live.wait_until(lambda: live.diagnosis('wheel commands')[0].get('received') == 8,
-                        'all messages')
-        live.wait_until(live.commands, 'the right one')
-        counts, _, _ = live.diagnosis('wheel commands')
-        words = live.end()
-    found = {name.removeprefix('rejected: '): count for name, count in counts.items()
-             if name.startswith('rejected') and count}
-    assert found == {'malformed': 5, 'too large': 1, 'unknown frame': 1}
-    assert counts['applied'] == 1
-    assert ('command on wheel_command rejected (1 so far): malformed: name: expected some of '
-            "'rw_x', 'rw_y', 'rw_z', 'rw_skewed', found 'rw_w'") in words
-
-
-def test_a_node_that_is_killed_goes_on_with_the_speeds_of_the_wheels(tmp_path, domain):
-    checkpoint = tmp_path / 'checkpoint.json'
-    with Wheels(SCENE, domain, *LOCKSTEP, '-p', f'checkpoint:={checkpoint}') as live:
-        live.disconnect()
-        for number in range(10):
-            stamp_ns = SECOND + number * STEP_NS
-            live.turn(stamp_ns, [0.004, -0.004, 0.0, NAN])
-            live.wait_until(lambda due_ns=stamp_ns + STEP_NS: due_ns in live.states(),
-                            'a response')
-        before = live.states()[stamp_ns][0]
-        checked(tmp_path, live)
-    with Wheels(SCENE, domain, *LOCKSTEP, '-p', f'checkpoint:={checkpoint}') as live:
-        live.disconnect()
-        live.wait_until(lambda: stamp_ns in live.states(), 'the state of the checkpoint')
-        np.testing.assert_array_equal(live.states()[stamp_ns][0], before)
-        live.turn(stamp_ns + STEP_NS, [0.004, NAN, NAN, NAN])
-        live.wait_until(lambda: stamp_ns + 2 * STEP_NS in live.states(), 'a response')
-        checked(tmp_path, live)
 
 
 def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
@@ -417,24 +400,17 @@ def test_compare_and_identify_know_the_wheels(tmp_path, flight, capsys):
             'rw_x' in capsys.readouterr().err
 
 
-@pytest.mark.slow
-def test_an_ensemble_knows_the_commands_of_wheels(tmp_path, flight):
-    vary, tables = tmp_path / 'vary.yaml', []
-    vary.write_text('inertia.ixx: {normal: 0.001}\nclock_offset: {normal: 0.01}\n')
-    for workers in '12':
-        out = tmp_path / workers
-        assert main.attitude_ensemble(
-            ['--scene', str(SCENE), '--vary', str(vary), '--recording', str(flight), '--runs',
-             '20', '--workers', workers, '-o', str(out)]) == 0
-        tables.append((out / 'runs.parquet').read_bytes())
-    assert tables[0] == tables[1]
-    row, given = parquet.read_table(out / 'runs.parquet').to_pylist()[7], read(flight, SCENE)
-    entries = [row[f'inertia.i{entry}'] for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')]
-    log = EffortLog(given.efforts.times_ns + round(row['clock_offset'] * SECOND),
+def test_an_ensemble_knows_the_commands_of_wheels(flight):
+    given, end_ns = read(flight, SCENE), SECOND + 299 * STEP_NS
+    rows = Ensemble(given, end_ns, (Dispersion('inertia.ixx', 'normal', (0.001,)),
+                                    Dispersion('clock_offset', 'normal', (0.01,))), 1).rows(0, 8)
+    entries = given.body.entries + np.append(rows['inertia.ixx'][7] - given.body.entries[0],
+                                             np.zeros(5))
+    log = EffortLog(given.efforts.times_ns + round(rows['clock_offset'][7] * SECOND),
                     given.efforts.efforts)
-    expected = given.replaced(body=given.body.with_entries(np.array(entries)), efforts=log)
-    state = expected.propagate(at=[SECOND + 299 * STEP_NS])
-    assert [row[f'attitude.{axis}'] for axis in 'xyzw'] == state.attitude[0].tolist()
+    state = given.replaced(body=given.body.with_entries(entries), efforts=log).propagate(
+        at=[end_ns])
+    assert [rows[f'attitude.{axis}'][7] for axis in 'xyzw'] == state.attitude[0].tolist()
 
 
 @pytest.mark.nightly
