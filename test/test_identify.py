@@ -14,7 +14,7 @@
 
 """Identify a body from measured motions: values, uncertainties, and what is undetermined."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 import json
 
@@ -42,11 +42,18 @@ from rigid_body_ros.recording.observed import Measurements
 from rigid_body_ros.scene.quantities import components_of
 from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers
 
-GUESS = RigidBody(np.diag([0.03, 0.03, 0.03]))
+GUESS, TRUE = RigidBody(np.diag([0.03, 0.03, 0.03])), RigidBody(INERTIA)
 ATTITUDE, RATE = 2e-3, 5e-3
-#: Noise of attitudes, rad, and of rates, rad/s.
-NOISES = [(ATTITUDE, RATE), pytest.param((0.0, 0.0), marks=pytest.mark.nightly)]
 INERTIA_NAMES = [f'inertia.i{entry}' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')]
+ENTRIES = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+VECTOR, BIAS = np.array([0.12, -0.13, 0.09]), np.array([0.002, -0.001, 0.003])
+DAMPING = np.array([[2e-3, 3e-4, 0.0], [3e-4, 1e-3, 0.0], [0.0, 0.0, 3e-3]])
+#: A weight about a pivot, and the guess that a fit starts from.
+WEIGHT = {'moment': (0.002, -0.003, -0.02), 'field': (0.0, 0.0, -9.81)}
+NEAR = UniformField((0.0, 0.0, -0.01), WEIGHT['field'], 'pivot')
+#: A free body whose flywheel spins up.
+FLYWHEEL = {'seconds': 6.0, 'amplitude': 0.0, 'measured_hz': 100, 'momentum': np.outer(
+    0.05 * np.clip(np.arange(61) / 10 - 1.0, 0.0, 3.0) / 3.0, [0.6, 0.5, 0.6])}
 
 
 @cache
@@ -54,8 +61,16 @@ def tumble(seconds=20.0):
     return Truth(seconds)
 
 
+def noisy(seed=0, **options):
+    return tumble().measured(ATTITUDE, RATE, seed, **options)
+
+
 def inertia_error(result, inertia=INERTIA):
     return np.abs(result.body.inertia - inertia).max() / inertia.max()
+
+
+def inertia_truth(inertia=INERTIA):
+    return dict(zip(INERTIA_NAMES, inertia[ENTRIES]))
 
 
 def assert_covered(result, truth, width=4.0):
@@ -65,43 +80,135 @@ def assert_covered(result, truth, width=4.0):
         assert abs(one.value - value) < width * one.sigma, name
 
 
-def inertia_truth(inertia=INERTIA):
-    rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
-    return dict(zip(INERTIA_NAMES, inertia[rows, columns]))
+@dataclass(frozen=True)
+class Case:
+    """A fit: what is estimated, the motion, the true values beside the inertia, and the rest."""
+
+    estimate: str
+    motion: dict = field(default_factory=dict)
+    values: dict = field(default_factory=dict)
+    guess: RigidBody = GUESS
+    #: Turn a motion and the noise of attitudes and rates into measurements.
+    sensors: object = lambda motion, attitude, rate: [motion.measured(attitude, rate)]
+    experiment: dict = field(default_factory=dict)
+    options: dict = field(default_factory=dict)
+
+    def result(self, attitude, rate):
+        """Return the result for noise of attitudes and of rates, and the motion."""
+        motion = Truth(**{'seconds': 8.0, **self.motion}) if self.motion else tumble()
+        given = motion.experiment(*self.sensors(motion, attitude, rate))
+        return identify(self.guess, replace(given, **self.experiment),
+                        estimate=self.estimate.split(), **self.options), motion
+
+    @property
+    def truth(self):
+        """The true values of the components that are estimated."""
+        found = inertia_truth(self.motion.get('inertia', INERTIA)) \
+            if 'inertia' in self.estimate.split() else {}
+        for name, value in self.values.items():
+            found.update(zip(components_of(name), np.ravel(value).tolist(), strict=True))
+        return found
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('factor', [3.0, *at_night(1.0, 1.0 / 3.0)])
-def test_the_inertia_is_exact_without_noise_from_a_guess_three_times_off(factor):
-    result = identify(RigidBody(factor * np.diag(np.diag(INERTIA))),
-                      tumble().experiment(tumble().measured()))
-    assert result.converged
-    assert inertia_error(result) < 1e-9
-    assert result.unidentifiable == []
+def camera_and_gyro(motion, attitude, rate):
+    """Return two sensors with a common clock, one of which is mounted askew."""
+    camera = motion.measured(attitude, None, topic='/camera')
+    return [mounted(shifted(camera, 0.035), VECTOR),
+            shifted(motion.measured(None, rate, topic='/gyro'), 0.035)]
 
 
-@pytest.mark.slow
-def test_a_sphere_is_guess_enough_where_the_torque_is_weak_and_samples_are_few():
+def biased(motion, _, rate):
+    gyro = motion.measured(None, rate)
+    return [replace(gyro, angular_velocity=gyro.angular_velocity + 10.0 * BIAS)]
+
+
+#: Fits that are exact without noise; the guess of the start is that of the motion.
+EXACT = {
+    'a guess three times off': Case('inertia start', guess=RigidBody(
+        3.0 * np.diag(np.diag(INERTIA)))),
+    'attitudes': Case('inertia start', sensors=lambda motion, *_: [motion.measured(0.0, None)]),
+    'rates': Case('inertia start', sensors=lambda motion, *_: [motion.measured(None, 0.0)]),
+    'three moments': Case('inertia_diagonal start', guess=RigidBody(
+        INERTIA + np.diag([0.01, 0.004, -0.01]))),
+    'a turned sensor': Case('start mount', {'seconds': 5.0}, {'mount': VECTOR}, TRUE,
+                            lambda motion, *_: [mounted(motion.measured(), VECTOR)]),
+    'a flywheel without torque': Case('inertia start', FLYWHEEL),
+    'a known weight without torque': Case('inertia start', {'amplitude': 0.0, **WEIGHT},
+                                          experiment={'fields': [UniformField(**WEIGHT)]}),
+    'the moment of a field': Case('inertia start pivot.moment', WEIGHT,
+                                  {'pivot.moment': WEIGHT['moment']},
+                                  experiment={'fields': [NEAR]}),
+    'a weight': Case('inertia start weight', WEIGHT, {'weight': WEIGHT['moment']},
+                     options={'gravity': WEIGHT['field']}),
+    'a bias, which does not time out': Case(
+        'start torque_bias', {'seconds': 2.0, 'amplitude': 0.0, 'bias': BIAS},
+        {'torque_bias': BIAS}, TRUE, experiment={'log': None}, options={'torque_timeout': 0.03}),
     # As in NASA's check-case of a brick, which test_validation.py fits if its data is available.
-    brick = np.diag([0.0019, 0.0062, 0.0072])
-    truth = Truth(seconds=30.0, measured_hz=10, amplitude=2e-5, inertia=brick,
-                  rates=(0.17, 0.35, 0.52), attitude=(0.0, 0.0, 0.0, 1.0))
-    result = identify(RigidBody(0.005 * np.eye(3)), truth.experiment(truth.measured()))
-    np.testing.assert_allclose(result.body.inertia, brick, rtol=1e-8, atol=1e-8 * 0.0072)
+    'a sphere, weak torque and few samples': Case('inertia start', {
+        'seconds': 30.0, 'measured_hz': 10, 'amplitude': 2e-5, 'rates': (0.17, 0.35, 0.52),
+        'attitude': (0.0, 0.0, 0.0, 1.0), 'inertia': np.diag([0.0019, 0.0062, 0.0072])},
+        guess=RigidBody(0.005 * np.eye(3)))}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('attitude', 'rate'), [(0.0, None), (None, 0.0)])
-def test_either_attitudes_or_rates_are_enough(attitude, rate):
-    result = identify(GUESS, tumble().experiment(tumble().measured(attitude, rate)))
-    assert inertia_error(result) < 1e-8
-    assert ('initial_attitude.x' in result.estimates) == (attitude is not None)
+@pytest.mark.parametrize('name', EXACT)
+def test_a_fit_is_exact_without_noise(name):
+    case = EXACT[name]
+    result, motion = case.result(0.0, 0.0)
+    assert result.converged
+    assert result.unidentifiable == []
+    assert inertia_error(result, motion.inertia) < 1e-8
+    for component, value in case.truth.items():
+        assert result.estimates[component].value == pytest.approx(
+            value, rel=1e-6, abs=1e-8 * motion.inertia.max())
+    assert ('initial_attitude.x' in result.estimates) == (name != 'rates')
+    assert result.training.samples > 0
+    # The result gives the motion again.
+    again = propagate(result.body, result.starts[0], motion.log, at=motion.stamps_ns,
+                      fields=result.fields or case.experiment.get('fields', ()),
+                      wheels=motion.wheels)
+    if name not in ('rates', 'a bias, which does not time out'):
+        assert so3.angle_between(again.attitude, motion.q).max() < 1e-7
+
+
+#: Fits of noisy measurements.
+COVERED = {
+    'attitudes': Case('inertia start', sensors=lambda motion, attitude, _: [
+        motion.measured(attitude, None)]),
+    'gyro_bias': Case('inertia start gyro_bias', {}, {'gyro_bias': 10.0 * BIAS}, sensors=biased),
+    'clock_offset and mount': Case('inertia start clock_offset mount', {}, {
+        'clock_offset': 0.035, 'mount': VECTOR}, sensors=camera_and_gyro),
+    'clock_offset of seconds': Case('inertia start clock_offset', {}, {
+        'clock_offset': 1.5}, sensors=lambda motion, *noise: [
+            shifted(motion.measured(*noise), 1.5)]),
+    'torque_gain and torque_bias': Case('start torque_gain torque_bias', {
+        'bias': BIAS, 'gain': 0.9}, {'torque_gain': 0.9, 'torque_bias': BIAS}, TRUE),
+    'inertia and torque_bias': Case('inertia start torque_bias', {'bias': BIAS}, {
+        'torque_bias': BIAS}),
+    'damping': Case('inertia start damping', {'damping': DAMPING}, {'damping': DAMPING[ENTRIES]}),
+    'rotor_momentum': Case('start rotor_momentum', {
+        'momentum': np.tile([0.0, 0.01, 0.02], (81, 1))}, {'rotor_momentum': (0.0, 0.01, 0.02)},
+        TRUE, experiment={'start': State(0, (0.1, -0.2, 0.3, 0.9), (0.5, 1.0, 0.2)),
+                          'wheels': None}),
+    'a flywheel': Case('inertia start', FLYWHEEL),
+    'a field': Case('pivot.moment inertia start', WEIGHT, {'pivot.moment': WEIGHT['moment']},
+                    experiment={'fields': [NEAR]})}
 
 
 @pytest.mark.slow
-def test_noisy_attitudes_are_enough():
-    result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, None)))
-    assert_covered(result, inertia_truth())
+@pytest.mark.parametrize('name', COVERED)
+def test_intervals_cover_the_truth(name):
+    result, _ = COVERED[name].result(ATTITUDE, RATE)
+    assert result.unidentifiable == []
+    assert_covered(result, COVERED[name].truth)
+    if name == 'damping':
+        assert np.linalg.eigvalsh(result.body.damping)[0] >= 0.0
+    if name == 'rotor_momentum':
+        np.testing.assert_allclose(result.starts[0].rotor_momentum, (0.0, 0.01, 0.02), atol=1e-4)
+    if name == 'a field':
+        assert [*result.estimates][:9] == [*INERTIA_NAMES, *components_of('pivot.moment')]
+        assert {result.estimates[one].unit for one in components_of('pivot.moment')} == {
+            'kg m or A m^2'}
 
 
 @pytest.mark.slow
@@ -117,106 +224,53 @@ def test_the_start_is_fitted_from_a_wrong_one():
 
 @pytest.mark.slow
 def test_a_given_start_is_kept():
-    result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE)),
-                      estimate=['inertia'])
+    result = identify(GUESS, tumble().experiment(noisy()), estimate=['inertia'])
     assert [*result.estimates] == INERTIA_NAMES
     assert result.starts[0].angular_velocity.tolist() == list(tumble().rates)
     assert_covered(result, inertia_truth())
 
 
 @pytest.mark.slow
-def test_noise_levels_and_intervals():
-    result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE, seed=3)))
+def test_noise_levels_intervals_and_outliers():
+    # Many drivers fill in constant covariances, and a wrong constant would give a wrong interval.
+    measured, bad = with_outliers(noisy(), 0.02)
+    constant = np.tile(np.eye(3), (len(measured.stamps_ns), 1, 1))
+    result = identify(GUESS, tumble().experiment(replace(
+        measured, attitude_covariance=constant, rate_covariance=constant)), validate=0.3)
     assert_covered(result, inertia_truth())
     assert result.noise == pytest.approx({'/imu attitude': ATTITUDE,
                                           '/imu angular_velocity': RATE}, rel=0.05)
     for one in result.estimates.values():
         low, high = one.interval_95
         assert high - low == pytest.approx(2 * 1.96 * one.sigma, rel=1e-4)
+    first, _, last, _ = result.residuals
+    assert [one.is_training for one in result.residuals] == [True, True, False, False]
+    stamps_ns = np.concatenate([first.stamps_ns, last.stamps_ns])
+    assert stamps_ns.tolist() == measured.stamps_ns.tolist()
+    among = bad[:len(first.stamps_ns)].sum()
+    assert abs(np.sum(~first.inliers) - among) <= 1
+    assert 2 * among - 2 <= result.training.outliers <= 2 * among + 2
+    assert abs(first.autocorrelation) < 0.1
 
 
 @pytest.mark.slow
 def test_chi_square_with_given_noise():
-    result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE)),
-                      attitude_noise=ATTITUDE, rate_noise=RATE)
+    result = identify(GUESS, tumble().experiment(noisy()), attitude_noise=ATTITUDE,
+                      rate_noise=RATE)
     assert 0.9 < result.training.chi2_per_dof < 1.1
     assert result.training.samples == 2 * len(tumble().stamps_ns)
 
 
 @pytest.mark.slow
-def test_gyro_bias():
-    clean = tumble().measured(None, RATE)
-    bias = np.array([0.02, -0.03, 0.01])
-    gyro = Measured('/gyro', clean.stamps_ns, None, clean.angular_velocity + bias)
-    result = identify(GUESS, tumble().experiment(gyro), estimate=['inertia', 'start', 'gyro_bias'])
-    assert_covered(result, inertia_truth())
-    assert_covered(result, dict(zip(('gyro_bias.x', 'gyro_bias.y', 'gyro_bias.z'), bias)))
-
-
-@pytest.mark.slow
-def test_clock_offset_and_mount():
-    vector = np.array([0.12, -0.13, 0.09])
-    camera = mounted(shifted(tumble().measured(ATTITUDE, None, topic='/camera'), 0.035), vector)
-    gyro = shifted(tumble().measured(None, RATE, topic='/gyro'), 0.035)
-    result = identify(GUESS, tumble().experiment(camera, gyro),
-                      estimate=['inertia', 'start', 'clock_offset', 'mount'])
-    assert_covered(result, {**inertia_truth(), 'clock_offset': 0.035,
-                            **dict(zip(('mount.x', 'mount.y', 'mount.z'), vector))})
-    assert result.estimates['clock_offset'].sigma < 1e-3
-
-
-@pytest.mark.slow
-def test_a_mount_turns_the_rates_of_its_topic_too():
-    vector = np.array([0.12, -0.13, 0.09])
-    truth = Truth(seconds=5.0)
-    experiment = truth.experiment(mounted(truth.measured(), vector))
-    result = identify(RigidBody(INERTIA), experiment, estimate=['start', 'mount'])
-    found = [result.estimates[f'mount.{axis}'].value for axis in 'xyz']
-    np.testing.assert_allclose(found, vector, atol=1e-9)
-    assert result.training.rate_rms < 1e-9
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('offset', [1.5, *at_night(-1.5)])
-def test_a_clock_offset_of_seconds(offset):
-    sensor = shifted(tumble().measured(ATTITUDE, RATE), offset)
-    result = identify(GUESS, tumble().experiment(sensor),
-                      estimate=['inertia', 'start', 'clock_offset'])
-    assert_covered(result, {**inertia_truth(), 'clock_offset': offset})
-
-
-@pytest.mark.slow
-def test_covariances_in_messages_are_not_used():
-    # Many drivers fill in constant covariances, and a wrong constant would give a wrong interval.
-    plain = tumble().measured(ATTITUDE, RATE)
-    constant = np.tile(np.eye(3), (len(plain.stamps_ns), 1, 1))
-    result = identify(GUESS, tumble().experiment(replace(
-        plain, attitude_covariance=constant, rate_covariance=constant)))
-    assert result.noise['/imu attitude'] == pytest.approx(ATTITUDE, rel=0.05)
-
-
-@pytest.mark.slow
-def test_torque_gain_and_bias_with_a_known_inertia():
-    bias = (0.002, -0.001, 0.003)
-    truth = Truth(bias=bias, gain=0.9)
-    result = identify(RigidBody(INERTIA), truth.experiment(truth.measured(ATTITUDE, RATE)),
-                      estimate=['start', 'torque_gain', 'torque_bias'])
-    assert_covered(result, {'torque_gain': 0.9, 'torque_bias.x': bias[0],
-                            'torque_bias.y': bias[1], 'torque_bias.z': bias[2]})
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(('name', 'axes'), [('torque_gain', ['']), (
-    'torque_gains', [' about x', ' about y', ' about z'])])
-def test_a_logged_torque_that_did_not_act_is_a_reason_against_the_model(name, axes):
+def test_a_logged_torque_that_did_not_act_is_a_reason_against_the_model():
     free = Truth(amplitude=0.0)
     noise = TorqueLog(free.times, np.random.default_rng(3).normal(scale=0.01, size=(201, 3)))
     experiment = replace(free.experiment(free.measured(ATTITUDE, RATE)), log=noise)
-    result = identify(RigidBody(INERTIA), experiment, estimate=['start', name])
+    result = identify(TRUE, experiment, estimate=['start', 'torque_gain'])
     assert all(one.identifiable for one in result.estimates.values())
     assert (result.verdict.level, result.verdict.is_consistent) == ('approximate', False)
     texts = [reason.split(': ')[-1] for reason in result.verdict.reasons]
-    assert texts == [f'the logged torque has no visible effect{axis}' for axis in axes]
+    assert texts == ['the logged torque has no visible effect']
 
 
 @pytest.mark.slow
@@ -233,19 +287,10 @@ def test_a_gain_of_zero_is_a_reason_for_its_axis_only():
 
 
 @pytest.mark.slow
-def test_a_torque_bias_does_not_time_out():
-    truth = Truth(seconds=2.0, amplitude=0.0, bias=(0.002, -0.001, 0.003))
-    result = identify(RigidBody(INERTIA), Experiment(truth.start, None, [truth.measured()]),
-                      estimate=['start', 'torque_bias'], torque_timeout=0.03)
-    values = [result.estimates[f'torque_bias.{axis}'].value for axis in 'xyz']
-    np.testing.assert_allclose(values, truth.bias, rtol=1e-6)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize('delay', [1.7, 2.3])
 def test_a_torque_delay_keeps_within_two_seconds_and_is_not_determined_there(delay):
-    log = TorqueLog(tumble().times - round(delay * SECOND), tumble().torques)
-    experiment = replace(tumble().experiment(tumble().measured()), log=log)
+    log = TorqueLog(tumble(8.0).times - round(delay * SECOND), tumble(8.0).torques)
+    experiment = replace(tumble(8.0).experiment(tumble(8.0).measured()), log=log)
     result = identify(RigidBody(INERTIA), experiment, estimate=['torque_gain', 'torque_delay'])
     found = result.estimates['torque_delay']
     assert found.value == pytest.approx(min(delay, 2.0), abs=1e-8 if delay < 2.0 else 2e-3)
@@ -270,88 +315,22 @@ def test_a_plate_is_the_start_of_its_estimates_and_the_centre_of_what_is_known()
 
 
 @pytest.mark.slow
-def test_torque_bias_and_inertia():
-    truth = Truth(bias=(0.002, -0.001, 0.003))
-    result = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)),
-                      estimate=['inertia', 'start', 'torque_bias'])
-    assert_covered(result, {**inertia_truth(), 'torque_bias.x': 0.002})
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(('modelled', 'noise', 'suspects'), [
-    (['torque_bias'], 0.0, []), *at_night(
-        (['torque_bias'], 1e-4, []), ([], 1e-4, ['torque_bias']))])
-def test_a_model_is_explained_unless_it_lacks_something(modelled, noise, suspects):
-    truth = Truth(bias=(0.002, -0.001, 0.003))
-    result = identify(GUESS, truth.experiment(truth.measured(noise, noise)),
-                      estimate=['inertia', 'start', *modelled])
-    assert result.verdict.is_consistent is not bool(suspects)
-    assert [one.name for one in result.verdict.suspects[:1]] == suspects
-
-
-@pytest.mark.slow
-def test_damping():
-    damping = np.array([[2e-3, 3e-4, 0.0], [3e-4, 1e-3, 0.0], [0.0, 0.0, 3e-3]])
-    truth = Truth(damping=damping)
-    result = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)),
-                      estimate=['inertia', 'start', 'damping'])
-    assert_covered(result, {**inertia_truth(), 'damping.dxx': 2e-3, 'damping.dxy': 3e-4,
-                            'damping.dyz': 0.0})
-    assert np.linalg.eigvalsh(result.body.damping)[0] >= 0.0
-
-
-@pytest.mark.slow
-def test_three_moments_keep_the_products():
-    guess = INERTIA + np.diag([0.01, 0.004, -0.01])
-    result = identify(RigidBody(guess), tumble().experiment(tumble().measured()),
-                      estimate=['inertia_diagonal', 'start'])
-    assert inertia_error(result) < 1e-9
-    assert result.body.inertia[0, 2] == pytest.approx(INERTIA[0, 2], rel=1e-12)
-
-
-def flywheel(**options):
-    """Return the motion of a free body whose flywheel spins up."""
-    times = np.arange(61) / 10
-    spin = 0.05 * np.clip(times - 1.0, 0.0, 3.0) / 3.0
-    return Truth(seconds=6.0, amplitude=0.0, momentum=np.outer(spin, [0.6, 0.5, 0.6]),
-                 measured_hz=100, **options)
-
-
-@pytest.mark.slow
-def test_a_flywheel_that_spins_up_gives_the_scale_of_the_inertia_without_torque():
-    truth = flywheel()
-    assert inertia_error(identify(GUESS, truth.experiment(truth.measured()))) < 1e-8
-    noisy = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)))
-    assert noisy.unidentifiable == []
-    assert_covered(noisy, inertia_truth())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(('attitude', 'rate'), [(0.0, 0.0), (ATTITUDE, RATE)])
-def test_wheels_with_names_give_the_inertia_without_torque(attitude, rate):
-    body, stamps = RigidBody(INERTIA), np.arange(1, 1000) * (SECOND // 50)
+def test_wheels_with_names_give_the_inertia_without_torque():
+    stamps, times = np.arange(1, 1000) * (SECOND // 50), np.arange(100) * (SECOND // 5)
     wheels = [Wheel('x', (1.0, 0.0, 0.0), 2e-3, initial_speed=20.0, max_torque=0.02),
               Wheel('y', (0.0, 1.0, 0.0), 2e-3, initial_speed=-10.0),
               Wheel('skewed', (1.0, 1.0, 1.0), 1e-3)]
-    times = np.arange(100) * (SECOND // 5)
     efforts = EffortLog(times, 0.03 * np.sin(
         np.outer(times / 1e9, [0.7, 1.1, 1.7]) + np.arange(3.0)))
-    motion = propagate(body, State(0, (0.1, -0.2, 0.3, 0.9), (0.5, 1.0, 0.2)), at=stamps,
+    motion = propagate(TRUE, State(0, (0.1, -0.2, 0.3, 0.9), (0.5, 1.0, 0.2)), at=stamps,
                        wheels=wheels, efforts=efforts)
-    random = np.random.default_rng(5)
-    imu = Measured('/imu', stamps, so3.multiply(motion.attitude, so3.exp(
-        attitude * random.normal(size=(999, 3)))),
-        motion.angular_velocity + rate * random.normal(size=(999, 3)))
+    imu = Measured('/imu', stamps, motion.attitude, motion.angular_velocity)
     # The momenta of the wheels depend on the initial rate, which is also estimated.
     result = identify(GUESS, Experiment(State(), None, [imu], wheels, efforts=efforts))
     assert result.unidentifiable == []
-    if rate:
-        assert result.verdict.level == 'explained'
-        assert_covered(result, inertia_truth())
-    else:
-        assert inertia_error(result) < 1e-12
+    assert inertia_error(result) < 1e-12
     again = propagate(result.body, result.starts[0], at=stamps, wheels=wheels, efforts=efforts)
-    assert so3.angle_between(again.attitude, motion.attitude).max() < 1e-11 + attitude
+    assert so3.angle_between(again.attitude, motion.attitude).max() < 1e-11
 
 
 @pytest.mark.slow
@@ -371,63 +350,22 @@ def test_heavy_wheels_need_no_gyro():
 
 
 @pytest.mark.slow
-def test_the_momentum_of_a_rotor():
-    truth = Truth(momentum=np.tile([0.0, 0.01, 0.02], (201, 1)))
-    unknown = State(0, truth.attitude, truth.rates)
-    experiment = Experiment(unknown, truth.log, [truth.measured(ATTITUDE, RATE)])
-    result = identify(RigidBody(INERTIA), experiment, estimate=['start', 'rotor_momentum'])
-    assert_covered(result, dict(zip([f'initial_rotor_momentum.{axis}' for axis in 'xyz'],
-                                    (0.0, 0.01, 0.02))))
-    np.testing.assert_allclose(result.starts[0].rotor_momentum, (0.0, 0.01, 0.02), atol=1e-4)
-
-
-@pytest.mark.slow
-def test_outliers_are_counted_and_do_no_harm():
-    measured, bad = with_outliers(tumble().measured(ATTITUDE, RATE), 0.02)
-    result = identify(GUESS, tumble().experiment(measured))
-    assert_covered(result, inertia_truth())
-    assert 2 * bad.sum() - 2 <= result.training.outliers <= 2 * bad.sum() + 2
-    assert result.noise == pytest.approx({'/imu attitude': ATTITUDE,
-                                          '/imu angular_velocity': RATE}, rel=0.05)
-
-
-@pytest.mark.slow
-def test_two_recordings_give_one_inertia_and_two_starts():
+def test_two_recordings_with_different_sensors_give_one_inertia_and_two_starts():
     other = Truth(rates=(-0.3, 0.2, 0.9), seconds=10.0)
-    both = identify(GUESS, [tumble().experiment(tumble().measured(ATTITUDE, RATE)),
-                            other.experiment(other.measured(ATTITUDE, RATE))])
-    alone = identify(GUESS, other.experiment(other.measured(ATTITUDE, RATE)))
+    of_rates = other.experiment(other.measured(None, RATE))
+    both = identify(GUESS, [tumble().experiment(tumble().measured(ATTITUDE, None)), of_rates])
+    assert both.unidentifiable == []
+    assert 'initial_attitude.x' in both.estimates
+    assert 'initial_attitude.x[2]' not in both.estimates
     assert_covered(both, {**inertia_truth(), 'initial_angular_velocity.x[2]': -0.3})
-    assert both.estimates['inertia.ixx'].sigma < alone.estimates['inertia.ixx'].sigma
+    alone = identify(GUESS, of_rates).estimates['inertia.ixx']
+    assert both.estimates['inertia.ixx'].sigma < alone.sigma
     assert len(both.starts) == 2
 
 
 @pytest.mark.slow
-def test_recordings_with_different_sensors():
-    other = Truth(rates=(-0.3, 0.2, 0.9), seconds=10.0)
-    result = identify(GUESS, [tumble().experiment(tumble().measured(ATTITUDE, None)),
-                              other.experiment(other.measured(None, RATE))])
-    assert result.unidentifiable == []
-    assert 'initial_attitude.x' in result.estimates
-    assert 'initial_attitude.x[2]' not in result.estimates
-    assert_covered(result, inertia_truth())
-
-
-@pytest.mark.slow
-def test_the_errors_of_all_samples_are_in_the_result():
-    measured, bad = with_outliers(tumble().measured(ATTITUDE, RATE), 0.02)
-    result = identify(GUESS, tumble().experiment(measured), validate=0.3)
-    first, _, last, _ = result.residuals
-    assert [one.is_training for one in result.residuals] == [True, True, False, False]
-    stamps_ns = np.concatenate([first.stamps_ns, last.stamps_ns])
-    assert stamps_ns.tolist() == measured.stamps_ns.tolist()
-    assert abs(np.sum(~first.inliers) - bad[:len(first.stamps_ns)].sum()) <= 1
-    assert abs(first.autocorrelation) < 0.1
-
-
-@pytest.mark.slow
 def test_validation_is_kept_out_of_the_fit():
-    whole = tumble().measured(ATTITUDE, RATE)
+    whole = noisy()
     result = identify(GUESS, tumble().experiment(whole), validate=0.3)
     assert result.training.samples == pytest.approx(1.4 * len(whole.stamps_ns), rel=0.01)
     assert result.training.samples + result.validation.samples == 2 * len(whole.stamps_ns)
@@ -439,43 +377,41 @@ def test_validation_is_kept_out_of_the_fit():
     assert again.validation.rate_rms > 0.5
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('noise', NOISES)
-def test_without_torque_only_ratios_of_moments_are_known(noise):
-    truth = Truth(amplitude=0.0)
-    result = identify(GUESS, truth.experiment(truth.measured(*noise)))
-    assert not any(result.estimates[name].identifiable for name in INERTIA_NAMES)
-    assert result.estimates['inertia.ixx'].interval_95 is None
-    assert result.estimates['initial_angular_velocity.x'].identifiable
-    assert 'ratios' in ' '.join(one.reason for one in result.unidentifiable)
+#: Fits that the recordings do not determine: what they do not, what they do, and the reason.
+RATIO = 'only the ratio of torque to inertia enters the motion'
+UNDETERMINED = {
+    'no torque': (Case('inertia start', {'amplitude': 0.0}), INERTIA_NAMES,
+                  'initial_angular_velocity.x', 'ratios'),
+    'gain and inertia': (Case('inertia start torque_gain'), ['torque_gain', *INERTIA_NAMES[:3]],
+                         'initial_angular_velocity.x', RATIO),
+    'moment and inertia': (Case('inertia start pivot.moment', {'amplitude': 0.0, **WEIGHT},
+                                experiment={'fields': [NEAR]}),
+                           ['pivot.moment.z', *INERTIA_NAMES[:3]], 'initial_attitude.x', RATIO),
+    'one axis': (Case('inertia start', {'inertia': np.diag([0.02, 0.03, 0.04]), 'axes': (0, 0, 1),
+                                        'rates': (0.0, 0.0, 0.3)}),
+                 INERTIA_NAMES[:2], 'inertia.izz', '')}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('noise', NOISES)
-def test_torque_gain_and_inertia_are_not_known_together(noise):
-    result = identify(GUESS, tumble().experiment(tumble().measured(*noise)),
-                      estimate=['inertia', 'start', 'torque_gain'])
-    assert not result.estimates['torque_gain'].identifiable
-    assert not any(result.estimates[name].identifiable for name in INERTIA_NAMES[:3])
-    direction, = result.unidentifiable
-    assert direction.reason == 'only the ratio of torque to inertia enters the motion'
-    assert {'inertia.izz', 'torque_gain'} <= {*direction.components}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('noise', NOISES)
-def test_a_rotation_about_one_axis_gives_one_moment(noise):
-    truth = Truth(inertia=np.diag([0.02, 0.03, 0.04]), rates=(0.0, 0.0, 0.3), axes=(0, 0, 1))
-    result = identify(RigidBody.from_moments(0.03, 0.03, 0.03),
-                      truth.experiment(truth.measured(*noise)))
-    assert not result.estimates['inertia.ixx'].identifiable
-    assert not result.estimates['inertia.iyy'].identifiable
-    assert_covered(result, {'inertia.izz': 0.04}, width=4.0 if noise[0] else 1e9)
+@pytest.mark.parametrize('name', UNDETERMINED)
+@pytest.mark.parametrize('noise', [(ATTITUDE, RATE), *at_night(((0.0, 0.0),))])
+def test_what_a_recording_does_not_determine_is_named(name, noise):
+    case, unknown, known, reason = UNDETERMINED[name]
+    result, _ = case.result(*noise)
+    assert not any(result.estimates[one].identifiable for one in unknown)
+    assert all(result.estimates[one].interval_95 is None for one in unknown)
+    assert result.estimates[known].identifiable
+    assert reason in ' '.join(one.reason for one in result.unidentifiable)
+    if reason == RATIO:
+        direction, = result.unidentifiable
+        assert {unknown[0], 'inertia.izz'} <= {*direction.components}
+    if known == 'inertia.izz':
+        assert_covered(result, {known: 0.04}, width=4.0 if noise[0] else 1e9)
 
 
 @pytest.mark.slow
 def test_the_result_as_json(tmp_path):
-    result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE)),
+    result = identify(GUESS, tumble().experiment(noisy()),
                       estimate=['inertia', 'start', 'torque_gain'], validate=0.2)
     data = json.loads(json.dumps(result.as_dict(), allow_nan=False))
     assert data['estimates']['torque_gain'] == {
@@ -503,72 +439,6 @@ def test_the_result_as_json(tmp_path):
     assert (saved.converged, saved.level) == (result.converged, result.verdict.level)
 
 
-#: A weight about a pivot, and the guess that a fit starts from.
-WEIGHT = {'moment': (0.002, -0.003, -0.02), 'field': (0.0, 0.0, -9.81)}
-NEAR = UniformField((0.0, 0.0, -0.01), WEIGHT['field'], 'pivot')
-MOMENT = [f'pivot.moment.{axis}' for axis in 'xyz']
-
-
-@cache
-def swinging(amplitude=0.02):
-    return Truth(amplitude=amplitude, **WEIGHT)
-
-
-def with_field(experiment, field=NEAR):
-    return replace(experiment, fields=[field])
-
-
-@pytest.mark.slow
-def test_the_moment_of_a_field_is_exact_without_noise():
-    experiment = with_field(swinging().experiment(swinging().measured()))
-    result = identify(GUESS, experiment, estimate=['inertia', 'start', 'pivot.moment'])
-    assert result.converged
-    assert inertia_error(result) < 1e-9
-    found = [result.estimates[name] for name in MOMENT]
-    np.testing.assert_allclose([one.value for one in found], WEIGHT['moment'], atol=1e-11)
-    assert [one.start for one in found] == [0.0, 0.0, -0.01]
-    assert {one.unit for one in found} == {'kg m or A m^2'}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('sensors', [(ATTITUDE, None), *at_night(((ATTITUDE, RATE),))])
-def test_noisy_moments_are_covered(sensors):
-    experiment = with_field(swinging().experiment(swinging().measured(*sensors, seed=5)))
-    result = identify(GUESS, experiment, estimate=['pivot.moment', 'inertia', 'start'])
-    assert_covered(result, {**inertia_truth(), **dict(zip(MOMENT, WEIGHT['moment']))})
-    assert [*result.estimates][:9] == [*INERTIA_NAMES, *MOMENT]
-
-
-@pytest.mark.slow
-def test_a_known_weight_gives_the_scale_of_the_inertia_without_torque():
-    known = UniformField(*WEIGHT.values(), 'pivot')
-    experiment = with_field(swinging(0.0).experiment(swinging(0.0).measured()), known)
-    result = identify(GUESS, experiment)
-    assert inertia_error(result) < 1e-9
-
-
-@pytest.mark.slow
-def test_a_weight_is_a_field_of_the_result():
-    experiment = swinging().experiment(swinging().measured())
-    result = identify(GUESS, experiment, estimate=['inertia', 'start', 'weight'],
-                      gravity=WEIGHT['field'])
-    weight, = result.fields
-    assert weight.name == 'weight'
-    np.testing.assert_allclose(weight.moment, WEIGHT['moment'], atol=1e-11)
-    again = propagate(result.body, result.starts[0], experiment.log, at=swinging().stamps_ns,
-                      fields=result.fields)
-    assert so3.angle_between(again.attitude, swinging().q).max() < 1e-8
-
-
-@pytest.mark.nightly
-def test_moment_and_inertia_are_not_known_together_without_torque():
-    experiment = with_field(swinging(0.0).experiment(swinging(0.0).measured(ATTITUDE, RATE)))
-    result = identify(GUESS, experiment, estimate=['inertia', 'start', 'pivot.moment'])
-    direction, = result.unidentifiable
-    assert direction.reason == 'only the ratio of torque to inertia enters the motion'
-    assert {name.split('.')[0] for name in direction.components} == {'inertia', 'pivot'}
-
-
 def bad(**changes):
     measured = tumble().measured()
     fields = {'topic': '/pose', 'stamps_ns': measured.stamps_ns, 'attitude': measured.attitude,
@@ -589,7 +459,7 @@ def bad(**changes):
     (bad, {'estimate': ['inertia', 'inertia_diagonal']}, 'expected one of'),
     (bad, {'estimate': ['pivot.moment']},
      r"expected moments of the fields of the scene \(none\), found 'pivot'"),
-    (lambda: with_field(bad(), UniformField(*WEIGHT.values(), 'weight')), {'estimate': ['weight']},
+    (lambda: replace(bad(), fields=[replace(NEAR, name='weight')]), {'estimate': ['weight']},
      'weight: expected a scene without a field of that name, found one; estimate weight.moment'),
     (bad, {'estimate': ['weight'], 'gravity': (0.0, 0.0, 0.0)}, 'gravity: expected a field other'),
     (bad, {'estimate': ['pivot.field']}, "NAME.moment of a field, found 'pivot.field'"),
@@ -650,7 +520,7 @@ def test_a_log_in_space_axes():
     assert inertia_error(identify(GUESS, Experiment(start, torque, [measured]))) < 1e-8
 
 
-@pytest.mark.parametrize(('rows', 'columns'), [(50, 7), (7, 7), (3, 5), (4, 1)])
+@pytest.mark.parametrize(('rows', 'columns'), [(50, 7), (3, 5)])
 def test_triangular_factors(rows, columns):
     matrix = np.random.default_rng(0).standard_normal((rows, columns))
     matrix[:, columns // 2] = matrix[:, 0]  # makes it rank-deficient
@@ -664,7 +534,7 @@ def test_triangular_factors(rows, columns):
     (['start', 'torque_lag'], None), (['start', 'torque_delay', 'torque_gain'], None),
     (['inertia', 'start'], Actuator(delay=0.02, time_constant=0.1, limit=(0.015,) * 3))])
 def test_actuators_are_those_of_a_propagation(names, scene):
-    truth = tumble()
+    truth = tumble(8.0)
     real = scene or Actuator(delay=0.03 * ('torque_delay' in names),
                              time_constant=0.12 * ('torque_lag' in names))
     problem = Problem(RigidBody(INERTIA), truth.start, truth.log, actuator=real)
