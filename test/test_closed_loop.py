@@ -15,7 +15,7 @@
 
 """A closed loop in lockstep is one chain of states, with the same bits however it is started."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, ExitStack
 from dataclasses import asdict
 import json
 import signal
@@ -91,25 +91,22 @@ def ended(tmp_path, live, process):
     np.testing.assert_array_equal(run.replay, states)
 
 
-@pytest.mark.parametrize('first_step', ['0', *at_night('0.6', str(HEARTBEAT))])
-@pytest.mark.parametrize('attempt', [1, *at_night(2)])
-def test_the_node_may_start_first(tmp_path, domain, first_step, attempt):
-    with session(domain) as live:
-        live.disconnect()
-        live.spin(0.3 * attempt)
-        with controller(tmp_path, domain, '--first-step', first_step) as process:
-            ended(tmp_path, live, process)
-
-
 @pytest.mark.nightly
-@pytest.mark.parametrize('first_step', ['0', *at_night('0.6', str(HEARTBEAT))])
-@pytest.mark.parametrize('attempt', [1, *at_night(2)])
-def test_the_controller_may_start_first(tmp_path, domain, first_step, attempt):
-    with controller(tmp_path, domain, '--first-step', first_step) as process:
-        time.sleep(0.5 * attempt)
-        with session(domain) as live:
+@pytest.mark.parametrize('first_step', ['0', '0.6', str(HEARTBEAT)])
+@pytest.mark.parametrize('attempt', [1, 2])
+@pytest.mark.parametrize('is_node_first', [True, False])
+def test_either_may_start_first(tmp_path, domain, first_step, attempt, is_node_first):
+    with ExitStack() as stack:
+        live = stack.enter_context(session(domain)) if is_node_first else None
+        if live:
             live.disconnect()
-            ended(tmp_path, live, process)
+            live.spin(0.3 * attempt)
+        process = stack.enter_context(controller(tmp_path, domain, '--first-step', first_step))
+        if not live:
+            time.sleep(0.5 * attempt)
+            live = stack.enter_context(session(domain))
+            live.disconnect()
+        ended(tmp_path, live, process)
 
 
 def test_a_controller_that_is_killed_may_be_restarted(tmp_path, domain):
@@ -148,7 +145,7 @@ def test_a_reset_of_a_running_loop_takes_time_back(tmp_path, domain, start_ns):
     with session(domain, '-p', f'start_time:={start_ns}') as live:
         live.disconnect()
         with controller(tmp_path, domain, until=FOREVER):
-            for number in range(3):
+            for number in range(2):
                 count = len(live.torques)
                 live.wait_until(lambda count=count: len(live.torques) > count + 100,
                                 'the loop to go on')
@@ -163,7 +160,7 @@ def test_a_reset_of_a_running_loop_takes_time_back(tmp_path, domain, start_ns):
     begins = np.flatnonzero(np.diff(stamps, prepend=2 ** 62) <= 0)
     runs = [part.tolist() for part in np.split(stamps, begins[1:])]
     runs = [part for part in runs if len(part) > 1]
-    assert len(runs) == 4
+    assert len(runs) == 3
     for part in runs:
         assert part == [*range(start_ns, start_ns + len(part) * STEP_NS, STEP_NS)]
 
@@ -296,46 +293,28 @@ def test_without_a_controller_the_state_is_published_ten_times_a_second(monkeypa
     assert not policy.has_controller
 
 
-def test_a_controller_whose_subscription_connects_first_gets_the_state_once(monkeypatch):
-    now, connected = 0.0, (1, 1)  # a killed controller that stays connected
-    monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
-    policy, published = RepublishPolicy(), []
-    policy.published(is_repeated=False)
-    for now in np.arange(0.0, 30.0, 0.125).tolist():
-        connected = (1, 1) if now < 8.375 else (1, 2) if now < 8.75 else (2, 2)
-        if policy.is_due(*connected):
-            published.append(now)
-            policy.published(is_repeated=True)
-    # For the first controller: when it connects, and 4 s later. For the second: when its publisher
-    # connects, and then after 4 s and another 8 s, because it does not respond either.
-    assert published == [0.5, 4.5, 9.25, 13.25, 21.25]
-
-
-def test_an_observer_causes_no_repetition_of_a_state(monkeypatch):
-    now, connected = 0.0, (1, 1)
-    monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
-    policy, repeated = RepublishPolicy(), []
-    for now in np.arange(0.0, 20.0, 0.125).tolist():
-        connected = (1, 1) if now < 9.125 else (1, 2)  # later, an observer
-        if now % 1.5 == 0.0:  # a slow controller
-            policy.published(is_repeated=False)
-        if policy.is_due(*connected):
-            repeated.append(now)
-            policy.published(is_repeated=True)
-    assert repeated == [0.5]  # when the controller connected
-
-
-def test_a_message_that_is_delivered_late_causes_no_repetition_of_a_state(monkeypatch):
+@pytest.mark.parametrize(('seconds', 'connected', 'period', 'expected'), [
+    # A killed controller that stays connected gets the state when it connects, and 4 s later. The
+    # subscription of the second connects first: it gets the state when its publisher connects, and
+    # then after 4 s and another 8 s, because it does not respond either.
+    (30.0, lambda now: (1, 1) if now < 8.375 else (1, 2) if now < 8.75 else (2, 2), 100.0,
+     [0.5, 4.5, 9.25, 13.25, 21.25]),
+    # An observer connects to a loop with a slow controller.
+    (20.0, lambda now: (1, 1) if now < 9.125 else (1, 2), 1.5, [0.5]),
+    # Each state is delivered late.
+    (60.0, lambda now: (1, 1), HEARTBEAT, [0.5])], ids=['restarted', 'observer', 'late'])
+def test_a_state_is_repeated_only_for_a_controller_that_lacks_it(monkeypatch, seconds, connected,
+                                                                 period, expected):
     now = 0.0
     monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
     policy, repeated = RepublishPolicy(), []
-    for now in np.arange(0.0, 60.0, 0.125).tolist():
-        if now % HEARTBEAT == 0.0:  # each state is late
+    for now in np.arange(0.0, seconds, 0.125).tolist():
+        if now % period == 0.0:
             policy.published(is_repeated=False)
-        if policy.is_due(1, 1):
+        if policy.is_due(*connected(now)):
             repeated.append(now)
             policy.published(is_repeated=True)
-    assert repeated == [0.5]  # when the controller connected
+    assert repeated == expected
 
 
 def test_a_repeated_torque_gets_the_lost_response_again(domain):

@@ -242,15 +242,6 @@ def with_noise(sensor, attitude=1e-4, rate=1e-4):
 
 
 @pytest.mark.slow
-def test_a_wrong_inertia_is_named_under_fields():
-    sensor, (_, start, log), acting = under('weight')
-    verdict = compare(RigidBody(1.2 * INERTIA), start, log, measured=with_noise(sensor),
-                      **acting).verdict
-    # Without a torque, only the ratio of the weight to the inertia is known.
-    assert {one.name for one in verdict.suspects[:2]} & {'inertia', 'pivot.moment'}
-
-
-@pytest.mark.slow
 def test_a_wrong_torque_is_named_under_fields():
     sensor, (body, start, log), acting = under('under torque')
     half = log.with_torques(0.5 * log.torques)

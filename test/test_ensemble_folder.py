@@ -99,8 +99,10 @@ def check_whole(path):
 def test_a_second_command_changes_nothing(inputs, capsys):
     run(inputs, 'whole', 6000)
     path = inputs / 'out'
+    run(inputs, 'out', 20)
+    assert check_whole(path)
     with started(arguments(inputs, 'out', 6000)) as first:
-        wait_for(lambda: count(path / 'blocks') or first.poll() is not None)
+        wait_for(lambda: count(path / 'blocks') > 20 or first.poll() is not None)
         first.send_signal(signal.SIGSTOP)
         before = everything(path)
         for runs in (6000, 5000, 7000):
@@ -110,7 +112,9 @@ def test_a_second_command_changes_nothing(inputs, capsys):
                                    f'process {first.pid} on host {socket.gethostname()}, writes '
                                    'to it since 20')
         assert everything(path) == before
-        assert not (path / 'summary.json').exists()
+        # The results of fewer runs do not outlive the beginning of more.
+        for name in ('summary.json', 'bands.png', 'runs.parquet'):
+            assert not (path / name).exists()
         first.send_signal(signal.SIGCONT)
         first.kill()
     run(inputs, 'out', 6000)
@@ -144,17 +148,6 @@ def test_a_link_in_place_of_the_lock_is_not_followed(inputs, capsys):
     (inputs / 'out' / LOCK).symlink_to(inputs / 'mine')
     assert 'cannot write' in error_of(capsys, inputs, 'out', 5)
     assert (inputs / 'mine').read_text() == 'precious'
-
-
-@pytest.mark.slow
-def test_results_of_fewer_runs_do_not_outlive_the_begin_of_more(inputs):
-    run(inputs, 'out', 20)
-    assert check_whole(inputs / 'out')
-    with started(arguments(inputs, 'out', 6000)) as process:
-        wait_for(lambda: count(inputs / 'out' / 'blocks') > 20 or process.poll() is not None)
-        process.kill()
-    for name in ('summary.json', 'bands.png', 'runs.parquet'):
-        assert not (inputs / 'out' / name).exists()
 
 
 def flipped(path, other):

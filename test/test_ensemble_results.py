@@ -19,7 +19,6 @@ import re
 import subprocess
 import sys
 
-import browser
 from matplotlib.figure import Figure
 import matplotlib.image
 import numpy as np
@@ -31,7 +30,7 @@ from rigid_body_ros.ensemble import report, summary
 from rigid_body_ros.ensemble.summary import histogram, percentiles
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.report import picture
-from rigid_body_ros.report.page import write
+from rigid_body_ros.report.page import html
 from rigid_body_ros.report.report import Report
 import zarr
 
@@ -159,9 +158,8 @@ def test_angles_without_a_spread_are_counted(drawn, tmp_path, angles):
     assert (values.sum(), *np.sort(edges)) == (len(angles), *edges)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('kind', ['linear', 'logx'])
-def test_the_page_has_the_histogram_and_the_correlations(arguments, tmp_path, kind):
+def test_the_page_has_the_histogram_and_the_correlations(kind):
     found = results_of(np.linspace(0.0, 1.0, 900) ** (9 if kind == 'logx' else 1), failures={
         '<b>': 7}, rank_correlation={'a': 0.5, 'b': -0.75})
     made = report.report_of(found, 'name', str)
@@ -172,23 +170,11 @@ def test_the_page_has_the_histogram_and_the_correlations(arguments, tmp_path, ki
         ('p5', '5 %'), ('p50', 'median'), ('p95', '95 %'))}
     assert curves.x.tolist() == found['histogram']['edges_rad']
     assert curves.high[:-1, 0].tolist() == found['histogram']['runs']
-    write(tmp_path / 'page.html', made)
-    with browser.started() as chromium, \
-            browser.opened(chromium, tmp_path / 'page.html') as shown:
-        assert shown.locator('td:first-child').all_text_contents() == ['b', 'a']
-        assert [float(bar.get_attribute('width')) for bar in shown.locator('rect.bar').all()] \
-            == [75.0, 50.0]
-        assert '7: <b>' in shown.text_content('dl')
-        points = np.array(re.findall(r'[\d.]+', shown.get_attribute('.curve', 'd')), float)
-        assert shown.locator('.plot text.mark').all_text_contents() == [*panel.lines]
-        assert shown.text_content('h1').startswith('Half of 900 runs end within 0.')
-        marks = [float(line.get_attribute('x1')) for line in shown.locator('.plot line.c6').all()]
-    x = np.sort(points[::2])
-    scale = np.log if kind == 'logx' else np.array
-    low, high = scale(curves.x[0]), scale(curves.x[-1])
-    expected = [x[0] + (scale(angle) - low) / (high - low) * (x[-1] - x[0])
-                for angle in panel.lines.values()]
-    np.testing.assert_allclose(marks, expected, atol=0.2)
+    text = html(made)
+    assert re.findall(r'<tr><td>(\w+)</td>', text) == ['b', 'a']
+    assert re.findall(r'<rect class="bar [^"]*" width="([\d.]+)"', text) == ['75.0', '50.0']
+    assert '7: &lt;b&gt;' in text
+    assert re.search(r'<h1>Half of 900 runs end within 0\.', text)
 
 
 @pytest.mark.slow

@@ -72,15 +72,6 @@ def test_the_systematic_part_of_an_interval_widens_the_distribution(tmp_path):
                                COVARIANCE * np.outer(wider, wider), rtol=1e-14)
 
 
-def test_a_run_depends_on_seed_and_number_only(tmp_path):
-    names = (*ATTITUDE, 'inertia.ixx')
-    fit = load_fitted(written(tmp_path / 'fitted.json', names, np.full(4, 0.1), CORRELATION))
-    rows = rows_of(fit, 100)
-    assert np.array_equal(rows[::-1], np.stack([*fit.draw(1, np.arange(99, -1, -1)).values()], 1))
-    assert np.array_equal(rows[7:8], np.stack([*fit.draw(1, np.array([7])).values()], 1))
-    assert np.unique(np.append(rows, rows_of(fit, 100, seed=2))).size == 2 * rows.size
-
-
 def test_sensors_and_later_recordings_do_not_change_the_distribution_of_the_others(tmp_path):
     sensors = 'clock_offset', 'gyro_bias.z', 'gyro_scale.x@/imu', 'clock_drift@/a.csv'
     names = ('mount.x@/imu', *NAMES, *sensors, 'initial_attitude.x[2]')

@@ -57,7 +57,7 @@ FLYWHEEL = {'seconds': 6.0, 'amplitude': 0.0, 'measured_hz': 100, 'momentum': np
 
 
 @cache
-def tumble(seconds=20.0):
+def tumble(seconds=10.0):
     return Truth(seconds)
 
 
@@ -95,7 +95,7 @@ class Case:
 
     def result(self, attitude, rate):
         """Return the result for noise of attitudes and of rates, and the motion."""
-        motion = Truth(**{'seconds': 8.0, **self.motion}) if self.motion else tumble()
+        motion = Truth(**{'seconds': 6.0, **self.motion}) if self.motion else tumble()
         given = motion.experiment(*self.sensors(motion, attitude, rate))
         return identify(self.guess, replace(given, **self.experiment),
                         estimate=self.estimate.split(), **self.options), motion
@@ -187,7 +187,7 @@ COVERED = {
         'torque_bias': BIAS}),
     'damping': Case('inertia start damping', {'damping': DAMPING}, {'damping': DAMPING[ENTRIES]}),
     'rotor_momentum': Case('start rotor_momentum', {
-        'momentum': np.tile([0.0, 0.01, 0.02], (81, 1))}, {'rotor_momentum': (0.0, 0.01, 0.02)},
+        'momentum': np.tile([0.0, 0.01, 0.02], (61, 1))}, {'rotor_momentum': (0.0, 0.01, 0.02)},
         TRUE, experiment={'start': State(0, (0.1, -0.2, 0.3, 0.9), (0.5, 1.0, 0.2)),
                           'wheels': None}),
     'a flywheel': Case('inertia start', FLYWHEEL),
@@ -371,7 +371,7 @@ def test_validation_is_kept_out_of_the_fit():
     assert result.training.samples + result.validation.samples == 2 * len(whole.stamps_ns)
     assert result.validation.attitude_rms < 2 * ATTITUDE
     spoilt = Measured(whole.topic, whole.stamps_ns, whole.attitude, whole.angular_velocity.copy())
-    spoilt.angular_velocity[-200:] += 1.0
+    spoilt.angular_velocity[-100:] += 1.0
     again = identify(GUESS, tumble().experiment(spoilt), validate=0.3)
     assert np.array_equal(again.body.inertia, result.body.inertia)
     assert again.validation.rate_rms > 0.5
@@ -447,7 +447,7 @@ def bad(**changes):
 
 
 @pytest.mark.parametrize(('experiment', 'options', 'message'), [
-    (lambda: bad(attitude=np.full((999, 4), np.nan)), {}, '/pose: expected finite attitudes'),
+    (lambda: bad(attitude=np.nan * tumble().q), {}, '/pose: expected finite attitudes'),
     (lambda: bad(stamps_ns=tumble().stamps_ns - 100 * SECOND), {},
      '/pose: expected attitudes from'),
     (lambda: bad(stamps_ns=tumble().stamps_ns[:3], attitude=tumble().q[:3]), {},

@@ -137,12 +137,6 @@ def test_seeds_give_other_noise():
     assert np.isfinite(noise(ImuErrors(1.0, 1.0, seed=2 ** 63 - 1), stamps)[1]).all()
 
 
-def test_a_scene_without_errors_changes_nothing():
-    loaded, motion = Scene.from_values(MOMENTS), (np.ones((5, 4)), np.ones((5, 3)))
-    assert loaded.imu == ImuErrors()
-    assert loaded.imu.measured(np.arange(5), *motion) == motion
-
-
 def test_the_covariances_are_those_of_the_noise():
     stamps = at_rate(100, 300)
     attitude, rates = np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1)), np.zeros((len(stamps), 3))
@@ -189,15 +183,8 @@ def test_a_replay_writes_the_errors_to_imu_data_alone(tmp_path):
     assert (imu.values[:, [4, 8, 12]] == ALL.attitude_variance).all()
     assert (imu.values[:, [16, 20, 24]] == ALL.rate_variance).all()
     assert not plain.values[:, 4:13].any()
-
-
-@pytest.mark.slow
-def test_two_rates_of_a_replay_have_the_same_noise_at_common_stamps(tmp_path):
-    (slow, seldom), (fast, often) = (replayed(tmp_path, KEYS, rate=rate) for rate in (20.0, 200.0))
-    common = np.isin(often.stamps_ns, seldom.stamps_ns)
-    assert common.sum() == len(seldom.stamps_ns) > 100
-    np.testing.assert_array_equal(often.values[common], seldom.values)
-    np.testing.assert_array_equal(fast[common], slow)
+    np.testing.assert_array_equal(plain.values[:, :4], exact[:, :4])
+    np.testing.assert_array_equal(plain.values[:, 13:16], exact[:, 4:])
 
 
 @pytest.mark.slow

@@ -225,31 +225,19 @@ def test_a_tolerance_is_that_of_its_field(tmp_path, field, status):
 
 @pytest.mark.slow
 def test_an_update_writes_the_outputs_of_now_and_keeps_the_rest(path, capsys):
-    before, changed = AllMessages(path), math.nextafter(GAIN, 1.0)
-    assert run(path, *UPDATE, node=command(ESTIMATOR, changed)) == 0
-    after = AllMessages(path)
-    assert [*after.topics] == [*before.topics]
-    for topic in {*before.topics} - {'/momentum'}:
-        assert after.topics[topic].data == before.topics[topic].data
-        assert after.topics[topic].log_ns.tolist() == before.topics[topic].log_ns.tolist()
-    answers = recording.read(path, '/momentum', messages.VECTOR3)
-    np.testing.assert_array_equal(answers.values, momenta(changed))
-    assert after.topics['/momentum'].log_ns.tolist() == STAMPS_NS.tolist()
-    assert run(path, node=command(ESTIMATOR, changed)) == 0
-    capsys.readouterr()
-    assert run(path) == 1
-    assert first_of(momenta(), momenta(changed), 'vector') in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_a_controller_computes_what_its_update_has_written(path, capsys):
+    recorded = AllMessages(path)
     assert run(path, *UPDATE, node=command(CONTROLLER, 0.5)) == 0
+    updated = AllMessages(path)
+    assert [*updated.topics] == [*recorded.topics]
+    for topic in {*recorded.topics} - {'/control'}:
+        assert updated.topics[topic].data == recorded.topics[topic].data
+        assert updated.topics[topic].log_ns.tolist() == recorded.topics[topic].log_ns.tolist()
     values = recording.read(path, '/odometry', messages.ODOMETRY).values
     before, after = (-gain * values[:, 3:6] - 0.3 * values[:, 46:49]
                      for gain in (0.5, math.nextafter(0.5, 1.0)))
     control = recording.read(path, '/control', messages.WRENCH).values
     np.testing.assert_array_equal(control[:, 3:], before)
-    assert run(path, node=command(CONTROLLER, 0.5)) == 0
+    assert updated.topics['/control'].log_ns.tolist() == (STAMPS_NS + 300).tolist()
     capsys.readouterr()
     assert run(path, node=command(CONTROLLER, math.nextafter(0.5, 1.0))) == 1
     assert first_of(after, before, 'wrench.torque') in capsys.readouterr().out
@@ -262,7 +250,6 @@ def test_a_timer_follows_the_clock(path, capsys):
     values = recording.read(path, '/momentum', messages.VECTOR3).values
     assert len(values) == pytest.approx((COUNT - 1) * 10 / 4, abs=2)
     assert values[:, 0].tolist() == [*range(1, len(values) + 1)]
-    assert run(path, '--step', '0.002', node=timer) == 0
     assert run(path, '--step', '0.002') == 2
     assert '--step: expected a node that subscribes to /clock' in capsys.readouterr().err
 
@@ -270,20 +257,18 @@ def test_a_timer_follows_the_clock(path, capsys):
 @pytest.mark.slow
 def test_a_node_that_is_not_reproducible_is_called_so(path, capsys):
     before = path.read_bytes()
-    for options in ([], UPDATE):
-        assert run(path, *options, node=command(RANDOM)) == 1
-        assert 'the node is not reproducible: two runs differ from' in capsys.readouterr().err
+    assert run(path, *UPDATE, node=command(RANDOM)) == 1
+    assert 'the node is not reproducible: two runs differ from' in capsys.readouterr().err
     assert path.read_bytes() == before
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('node', 'options', 'line'), [
     (['no-such-command'], [], 'no-such-command: cannot be started: No such file or directory'),
-    (['sh', '-c', 'exit 3'], [], 'sh: expected a node that runs to the end of the recording, '
-     'found that it ended with exit status 3; no node subscribes'),
-    (command(DIES), [], 'ended with exit status 3; its inputs reach 0.37 s of the recording'),
-    (['sleep', MARK], ['--timeout', '3'], 'sleep: expected the recording to end within --timeout '
-     '3 s, found that no node subscribes to one recorded topic and publishes another: nothing '
+    (command(DIES), [], 'expected a node that runs to the end of the recording, found that it '
+     'ended with exit status 3; its inputs reach 0.37 s of the recording'),
+    (['sleep', MARK], ['--timeout', '6'], 'sleep: expected the recording to end within --timeout '
+     '6 s, found that no node subscribes to one recorded topic and publishes another: nothing '
      'publishes /control, /momentum, /odometry, /torque'),
     (command(FLOOD, 0.01), [], '/momentum: expected about as many messages as in the recording, '
      'found more than 1000 before'),
@@ -330,16 +315,6 @@ def test_mistakes(tmp_path, monkeypatch, capsys, options, line):
     assert not [*tmp_path.iterdir()]
 
 
-@pytest.mark.parametrize(('options', 'line'), [
-    ([], 'expected --scene or --open-loop, found neither'),
-    (['--scene', 'b', '--tolerance', 'a=1'],
-     '--tolerance: expected an angle without --open-loop, found FIELD=VALUE,...'),
-    (['--scene', 'b', '--step', '1'], '--step: expected --open-loop, found none')])
-def test_mistakes_without_it(capsys, options, line):
-    assert main.attitude_regress(['a.mcap', *options, '--', 'c']) == 2
-    assert line in capsys.readouterr().err
-
-
 def test_a_recording_is_replaced_only_if_the_user_says_so(path, capsys):
     before = path.read_bytes()
     assert run(path, '--update') == 2
@@ -367,13 +342,6 @@ def test_fields_are_those_of_arrays_too():
     assert fields['header.stamp.sec'] == 5
     assert fields['pose.pose.orientation.w'] == 6.0
     assert type(fields['pose.covariance[35]']) is float
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize('node', [command(ESTIMATOR), command(CONTROLLER, 0.5)])
-def test_twenty_of_twenty_runs_are_equal(path, node):
-    assert run(path, *UPDATE, node=node) == 0
-    assert [run(path, node=node) for _ in range(20)] == [0] * 20
 
 
 @pytest.mark.nightly

@@ -71,13 +71,19 @@ def run(command, scene, path, *options):
 @pytest.mark.parametrize(('command', 'outputs'), [
     ('attitude_replay', {'-o': '.mcap', '--plot': '.png', '--report': '.html'}),
     ('attitude_compare', {'--json': '.json', '--plot': '.png', '--report': '.html'}),
-    ('attitude_identify', {'--json': '.json', '--plot': '.png', '--report': '.html'})])
+    ('attitude_identify', {'--json': '.json', '--plot': '.png', '--report': '.html'}),
+    ('attitude_tradeoff', {'--plot': '.png', '--report': '.html'})])
+@pytest.mark.usefixtures('short_trades')
 def test_names_of_topics_and_files(flight, tmp_path, capfdbinary, command, outputs):
     outputs = {option: tmp_path / f'out{FILE}{suffix}'
                for option, suffix in outputs.items()}
-    fast = ['--estimate', 'inertia_diagonal,start'] if command == 'attitude_identify' else []
-    assert run(command, *flight, *fast, *(word for pair in outputs.items() for word in pair)) == 0
-    assert 'wrote' in printed(capfdbinary)
+    more = [word for pair in outputs.items() for word in pair]
+    if command == 'attitude_identify':
+        more += ['--estimate', 'inertia_diagonal,start']
+    scene, path = flight
+    given = ['--recording', path] if command == 'attitude_tradeoff' else [path]
+    assert getattr(main, command)([*map(str, (*given, '--scene', scene, *more))]) == 0
+    assert 'wrote' in printed(capfdbinary) or command == 'attitude_tradeoff'
     assert all(path.stat().st_size for path in outputs.values())
     page = outputs['--report'].read_text(encoding='utf-8')
     assert '<b>' not in page
@@ -103,16 +109,6 @@ def test_names_of_many_files_and_of_a_motion_to_verify(flight, tmp_path, capfdbi
         writer.write_columns(states.stamps_ns, [recording.Column(TOPIC, 'world', states.values)])
     assert run('attitude_replay', scene, path, '--verify', tmp_path / 'renamed.mcap') == 0
     assert 'same bits' in printed(capfdbinary)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures('short_trades')
-def test_names_of_a_trade(flight, tmp_path, capfdbinary):
-    outputs = '--plot', tmp_path / 'out.png', '--report', tmp_path / 'out.html'
-    scene, path = flight
-    assert main.attitude_tradeoff([*map(str, ('--scene', scene, '--recording', path, '--topic',
-                                              TOPIC, *outputs))]) == 0
-    printed(capfdbinary)
 
 
 def ensemble(scene, vary, *options):

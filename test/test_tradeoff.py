@@ -17,9 +17,6 @@
 from dataclasses import replace
 import json
 import math
-import os
-import subprocess
-import sys
 
 from conftest import at_night, chord, CONFIG, RECORDINGS, SECOND
 from conftest import Reference as Known
@@ -43,14 +40,13 @@ from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report.page import html
-from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, Setting, TARGET
+from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, Setting
 from rigid_body_ros.tradeoff.choices import OnWhole
 from rigid_body_ros.tradeoff.problem import Case, Reference
 from rigid_body_ros.tradeoff.problem import whole as whole_motion
 from rigid_body_ros.tradeoff.result import _limits, report_of
-from test_reference import NAMES
-from test_replay import bad_input
 
+NAMES = sorted(path.stem for path in RECORDINGS.glob('*.yaml'))
 TUMBLER = ('--scene', str(CONFIG / 'tumbler.yaml'))
 TORQUES = ('--recording', str(RECORDINGS / 'tumbler.mcap'))
 FREE = Problem(RigidBody.from_moments(1.0, 2.0, 2.5), State(0, angular_velocity=(0.1, 1.0, 0.2)))
@@ -99,8 +95,7 @@ ORBIT = GravityGradient(0.4, (0.0, 0.6, 0.8), (1.0, 0.0, 0.0))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('fields', [(PIVOT,), (ORBIT,), (PIVOT, ORBIT)])
-@pytest.mark.parametrize('rotors', [0.0, 0.3])
+@pytest.mark.parametrize(('fields', 'rotors'), [((PIVOT,), 0.0), ((PIVOT, ORBIT), 0.3)])
 def test_every_solver_is_measured_on_a_scene_with_fields(fields, rotors):
     # A pendulum released from rest, without and with a rotor.
     start = State(0, so3.exp([1.0, 0.5, 0.0]), rotor_momentum=(0.0, rotors, 0.0))
@@ -128,16 +123,7 @@ def test_every_solver_is_measured_on_a_scene_with_fields(fields, rotors):
 
 
 @pytest.mark.slow
-def test_a_scene_with_fields_may_begin_at_rest(tmp_path, capsys):
-    path = tmp_path / 'scene.yaml'
-    path.write_text('/**:\n  ros__parameters:\n    inertia: {ixx: 1, iyy: 2, izz: 2.5}\n'
-                    '    fields: [pivot]\n    pivot: {moment: {x: 0.1}, field: {z: -9.81}}\n')
-    assert main.attitude_tradeoff(['--scene', str(path)]) == 0
-    assert 'recommended' in capsys.readouterr().out
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('seed', [*range(5), *at_night(*range(5, 20))])
+@pytest.mark.parametrize('seed', [*range(4), *at_night(*range(4, 20))])
 def test_the_recommendation_is_right(seed, monkeypatch):
     # Use a small stretch, so that most logs are longer.
     monkeypatch.setattr('rigid_body_ros.tradeoff.problem._WORK', 400)
@@ -166,22 +152,6 @@ def test_the_recommendation_is_right(seed, monkeypatch):
     assert choice.measurement.seconds <= 1.5 * cheapest
 
 
-def test_rotors_that_take_all_momentum_leave_small_drifts_and_a_target_that_is_met():
-    body, rates = RigidBody.from_moments(1.0, 2.0, 2.5), np.array([0.1, 1.0, 0.2])
-    start = State(0, angular_velocity=rates, rotor_momentum=-body.angular_momentum(rates))
-    wheels = TorqueLog([0, 10 * SECOND], [[0.01, 0.02, -0.03], [0.0, 0.01, 0.0]])
-    result = measure(Problem(body, start, wheels=wheels), end_ns=20 * SECOND, targets=[1e-8])
-    assert {run.setting.solver for run in result.measurements if not run.failure} \
-        == {'auto', 'taylor', 'rk4', 'explicit_euler'}
-    best = [run for run in result.measurements if run.setting == Setting('taylor', 1e-15)]
-    assert max(best[0].error.momentum, best[0].error.energy) < 1e-14
-    expected = propagate(body, start, wheels=wheels, at=[20 * SECOND]).attitude
-    found = propagate(body, start, wheels=wheels, at=[20 * SECOND],
-                      **result.choices[1e-8].measurement.setting.options).attitude
-    assert so3.angle_between(found, expected)[0] <= 1e-8
-    assert 'principal axes' not in result.text()
-
-
 def a_measurement(error, seconds):
     return Measurement(Setting('rk4', max_step=seconds), Error(*5 * [error]), seconds, seconds)
 
@@ -194,25 +164,6 @@ def test_what_cannot_be_tried_on_the_whole_log_has_a_margin():
     assert (scaled.measurement, scaled.measured) == (runs[1], False)
     assert scaled.error == pytest.approx(1e-6)
     assert recommend(runs, 1e-12, 0.0, 10.0, lambda one: None) is None
-
-
-def test_a_short_run_is_timed_after_one_of_its_own(monkeypatch):
-    # Right after the longest run of another solver, a run takes more than twice its time.
-    calls, run = [], Case.run
-
-    def noted(case, **options):
-        calls.append(options)
-        return run(case, **options)
-    monkeypatch.setattr(Case, 'run', noted)
-    result = measure(FREE)
-    short = [run.setting.options for run in result.measurements if run.first_seconds < 1e-3]
-    assert len(short) > 10
-    for options in short:
-        places = [place for place, call in enumerate(calls) if call == options]
-        last = calls.index(result.measurements[-1].setting.options)
-        timed = [place for place in places if place > last]
-        assert len(timed) >= 2 * 3
-        assert set(np.diff(timed)[::2].tolist()) == {1}
 
 
 @pytest.mark.slow
@@ -290,19 +241,6 @@ def test_a_target_that_only_the_whole_motion_misses_is_refused_with_its_figure(m
     assert 'scaled to the whole motion by the square of the time\n' in hurried.text()
 
 
-@pytest.mark.slow
-@pytest.mark.slow
-def test_the_lines_of_a_plot_ascend_and_have_a_meaning():
-    result = measure(a_rod(100), targets=[1e-20, 1.0], seconds=0.01)
-    lines = result.reference_errors()
-    reference, own = result.reference, result.interpolation_error
-    assert {*lines} == {f'rounding floor {reference.floor:.0e} rad', 'target 1e-20 rad',
-                        f'last-digit effect {reference.last_digits:.0e} rad', 'target 1 rad',
-                        f'hold interpolation {own.estimate:.0e} rad'}
-    assert [*lines.values()] == sorted(lines.values())
-    assert lines['target 1e-20 rad'] == np.finfo(float).eps
-
-
 @pytest.mark.parametrize('interpolation', ['hold', 'linear'])
 def test_another_interpolation_is_advised_under_a_condition_if_hold_may_be_right(interpolation):
     result = measure(a_rod(1000, interpolation), seconds=0.1)
@@ -317,14 +255,6 @@ def test_another_interpolation_is_advised_under_a_condition_if_hold_may_be_right
         assert varies == []
 
 
-def test_the_floor_is_shown_as_what_it_is():
-    result = measure(FREE)
-    meaning = result.as_dict()['rounding_floor_is']
-    assert 'the series with other steps, in principal axes and, without torque, the ' in meaning
-    assert 'does not show an error common to all' in meaning
-    assert meaning in ' '.join(result.text().split())
-
-
 def test_a_failed_setting_is_shown_as_failed():
     result = measure(FREE)
     failed = [run for run in result.measurements if run.failure]
@@ -337,53 +267,46 @@ def test_a_failed_setting_is_shown_as_failed():
 
 
 @pytest.mark.slow
-def test_the_table_the_figures_and_the_picture(tmp_path):
+def test_the_recommendations_come_first_and_all_outputs_have_them(tmp_path, monkeypatch, capsys):
+    monkeypatch.delenv('DISPLAY', raising=False)
     picture, figures, web = (tmp_path / name for name in ('p.png', 'o.json', 'o.html'))
-    environment = {name: value for name, value in os.environ.items() if name != 'DISPLAY'}
-    script = ('import sys; from rigid_body_ros.commands import main; '
-              'from rigid_body_ros.tradeoff import trade; trade._MOST_STEPS = 20000;'
-              'sys.exit(main.attitude_tradeoff())')
-    done = subprocess.run([sys.executable, '-c', script, *TUMBLER, *TORQUES, '--target', '1e-9',
-                           '--json', figures, '--plot', picture, '--report', web],
-                          capture_output=True, text=True,
-                          env=environment, check=True)
-    assert done.stderr == ''
-    for part in ('target            1e-09 rad\nrecommended ', 'limited by ', '\n* ',
-                 'rounding floor ',
-                 'interpolation     hold (linear would end 0.016 rad away, cubic'):
-        assert part in done.stdout
-    written = json.loads(figures.read_text())
-    for line in written['recommended']['parameters']:
-        assert f'    {line}\n' in done.stdout
-    assert {run['solver'] for run in written['runs']} == {'auto', 'taylor', 'rk4', 'strang',
-                                                          'explicit_euler'}
-    assert matplotlib.image.imread(picture).shape[:2] == (600, 1080)
-    assert '<p class="source">tumbler.mcap: /torque</p>' in web.read_text(encoding='utf-8')
-
-
-@pytest.mark.slow
-def test_the_recommendations_come_first_and_then_the_pareto_optimal_settings(capsys):
-    targets = ('1e-3', '1e-9', '1e-20')
-    arguments = [*TUMBLER, *TORQUES]
-    assert main.attitude_tradeoff([*arguments, *(word for target in targets[:2]
-                                                 for word in ('--target', target))]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    starts = [number for number, line in enumerate(lines) if line.startswith('target ')]
-    assert [lines[number].split()[1] for number in starts] == ['0.001', '1e-09']
-    assert starts[0] == 0
+    assert main.attitude_tradeoff([
+        *TUMBLER, *TORQUES, '--target', '1e-3', '--target', '1e-9', '--json', str(figures),
+        '--plot', str(picture), '--report', str(web)]) == 0
+    output, error = capsys.readouterr()
+    assert error == ''
+    lines = output.splitlines()
+    first, second = (number for number, line in enumerate(lines) if line.startswith('target '))
+    assert [lines[number].split()[1] for number in (first, second)] == ['0.001', '1e-09']
     header = next(number for number, line in enumerate(lines)
                   if line.split()[:2] == ['solver', 'setting'])
-    assert starts[1] < header
+    assert first == 0 < second < header
     end = next(number for number, line in enumerate(lines) if 'Pareto-optimal: ' in line)
-    assert 3 <= end - header - 1 < 25
-    assert all(line.startswith('* ') for line in lines[header + 1:end])
-    errors = [float(line.split()[-6]) for line in lines[header + 1:end]]
+    best = lines[header + 1:end]
+    assert 3 <= len(best) < 25
+    assert all(line.startswith('* ') for line in best)
+    errors = [float(line.split()[-6]) for line in best]
     assert errors == sorted(errors, reverse=True)
-    assert main.attitude_tradeoff([*arguments, '--all']) == 0
+    problems = [read(TORQUES[1], TUMBLER[1], interpolation=name)
+                for name in ('hold', 'linear', 'cubic')]
+    hold, *others = (one.propagate(at=one.stamps_ns[-1:]).attitude[0] for one in problems)
+    linear, cubic = so3.angle_between(others, hold)
+    assert f'interpolation     hold (linear would end {linear:.2g} rad away, cubic would end ' \
+        f'{cubic:.2g} rad away)' in lines
+    written = json.loads(figures.read_text())
+    assert written['rounding_floor_is'] in ' '.join(output.split())
+    for each in written['targets']:
+        for line in each['recommended']['parameters']:
+            assert f'    {line}' in lines
+    assert {run['solver'] for run in written['runs']} == {'auto', 'taylor', 'rk4', 'strang',
+                                                          'explicit_euler'}
+    assert matplotlib.image.imread(picture).shape[1] == 1080
+    assert '<p class="source">tumbler.mcap: /torque</p>' in web.read_text(encoding='utf-8')
+    assert main.attitude_tradeoff([*TUMBLER, *TORQUES, '--all']) == 0
     rows = [line for line in capsys.readouterr().out.splitlines()
             if ' tolerance 1e-' in line or ' step ' in line]
     assert len(rows) > 35
-    assert lines[end].endswith(f'--all prints the other {len(rows) - (end - header - 1)} settings')
+    assert lines[end].endswith(f'--all prints the other {len(rows) - len(best)} settings')
 
 
 def test_every_target_has_its_own_recommendation(tmp_path):
@@ -398,17 +321,6 @@ def test_every_target_has_its_own_recommendation(tmp_path):
             and run['attitude_error_largest_rad'] + result.reference.guaranteed_error
             <= each['target_rad'])
     assert {name: data[name] for name in data['targets'][0]} == data['targets'][0]
-
-
-@pytest.mark.slow
-def test_other_interpolations_end_where_their_motions_do(capsys):
-    problems = [read(TORQUES[1], TUMBLER[1], interpolation=name)
-                for name in ('hold', 'linear', 'cubic')]
-    hold, *others = (one.propagate(at=one.stamps_ns[-1:]).attitude[0] for one in problems)
-    linear, cubic = so3.angle_between(others, hold)
-    assert main.attitude_tradeoff([*TUMBLER, *TORQUES]) == 0
-    assert f'\ninterpolation     hold (linear would end {linear:.2g} rad away, cubic would end ' \
-           f'{cubic:.2g} rad away)\n' in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -437,24 +349,6 @@ def test_another_interpolation_is_advised_only_if_it_helps(shape):
     else:
         assert error(better.interpolation) < 0.1 * error('hold')
         assert f'use {better.interpolation} (about ' in result.text()
-
-
-def test_curves_follow_the_settings_and_end_at_the_rounding_floor():
-    result = measure(FREE)
-    floor = result.reference.floor
-    for solver, (errors, _) in result.curves().items():
-        measured = [one.error.attitude for one in result.measurements
-                    if one.setting.solver == solver and not one.failure]
-        assert errors == [max(error, floor) for error in measured]
-        if solver in ('auto', 'taylor'):
-            turns = np.diff(np.log(errors))
-            assert turns.max() <= math.log(2.0)
-
-
-def test_the_help_states_the_default_target(capsys):
-    with pytest.raises(SystemExit):
-        main.attitude_tradeoff(['--help'])
-    assert f'(default: {TARGET:g})' in ' '.join(capsys.readouterr().out.split())
 
 
 def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():
@@ -487,33 +381,14 @@ def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():
     assert '; for errors up to 1e-20 rad: none is certain</h1>' in text
 
 
-@pytest.mark.slow
-def test_the_end_of_a_short_stretch_is_that_of_its_problem(monkeypatch):
-    monkeypatch.setattr('rigid_body_ros.tradeoff.problem._WORK', 300)
-    times = np.arange(2000) * SECOND // 10
-    log = TorqueLog(times, np.sin(times * 1e-9)[:, None] * [1e-2, 0.0, 2e-2],
-                    interpolation='cubic')
-    start = State(0, angular_velocity=(0, 1, 0.1))
-    result = measure(Problem(RigidBody.from_moments(1.0, 2.0, 2.5), start, log), seconds=0.5)
-    assert result.stretch.seconds < result.whole.seconds
-    cut, whole = (some.problem.logs[0].at(result.stretch.times_ns[:-1])[0]
-                  for some in (result.stretch, result.whole))
-    np.testing.assert_allclose(cut, whole, atol=1e-12)
-    cubic, = (some for some in result.interpolation_errors if some.interpolation == 'cubic')
-    hold, = (some for some in result.interpolation_errors if some.interpolation == 'hold')
-    assert cubic.estimate < 1e-2 * hold.estimate
-
-
-@pytest.mark.parametrize('name', ['missing', 'not mcap', 'empty', 'nan', 'overflow', 'frame',
-                                  'quaternion', 'inertia', 'key', 'no scene'])
-def test_a_mistake_is_answered_as_by_the_replay(name, tmp_path, capsys):
-    recorded, *scene = bad_input(name, tmp_path)
-    assert main.attitude_replay([recorded, *scene, '-o', str(tmp_path / 'o.mcap')]) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert main.attitude_tradeoff([*scene, '--recording', recorded]) == 2
+@pytest.mark.parametrize(('scene', 'path', 'message'), [
+    (str(CONFIG / 'tumbler.yaml'), 'none.mcap', 'none.mcap: cannot read the recording'),
+    ('none.yaml', TORQUES[1], 'none.yaml: ')])
+def test_a_mistake_is_one_line(capsys, scene, path, message):
+    assert main.attitude_tradeoff(['--scene', scene, '--recording', path]) == 2
     captured = capsys.readouterr()
-    found, = captured.err.splitlines()
-    assert found.split(': error: ')[1][:80] == line.split(': error: ')[1][:80]
+    line, = captured.err.splitlines()
+    assert line.startswith(f'attitude_tradeoff: error: {message}')
     assert not captured.out
 
 
@@ -526,17 +401,15 @@ def test_a_body_at_rest_has_nothing_to_measure(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_torques_are_measured_whatever_the_solver_of_the_scene(tmp_path, capsys):
-    exact = tmp_path / 'exact.yaml'
+def test_a_part_of_a_pathis_measured_whatever_the_solver_of_the_scene(tmp_path, capsys):
+    exact, figures = tmp_path / 'exact.yaml', tmp_path / 'figures.json'
     exact.write_text((CONFIG / 'tumbler.yaml').read_text() + '    solver: exact\n')
-    assert main.attitude_tradeoff(['--scene', str(exact), *TORQUES]) == 0
+    part = ['--from', '1.5', '--until', '4', '--json', str(figures)]
+    assert main.attitude_tradeoff(['--scene', str(exact), *TORQUES, *part]) == 0
     assert '\n    solver: ' in capsys.readouterr().out
-
-
-def test_a_topic_of_rotors_needs_a_scene_that_has_them(capsys):
-    assert main.attitude_tradeoff([*TUMBLER, '--wheel-torque', '/wheels']) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert '--wheel-torque: expected a scene with wheels: true, found wheels: false' in line
+    assert json.loads(figures.read_text())['whole_s'] == 2.5
+    assert main.attitude_tradeoff([*TUMBLER, '--from', '1']) == 2
+    assert '--from: expected a --recording, found none' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(('log', 'end_ns', 'message'), [
@@ -547,19 +420,6 @@ def test_a_motion_that_ends_before_it_starts_is_rejected(log, end_ns, message):
     start = State(10, angular_velocity=(0.0, 1.0, 0.1))
     with pytest.raises(ValueError, match=message):
         measure(Problem(RigidBody.from_moments(1.0, 2.0, 2.5), start, log), end_ns=end_ns)
-
-
-@pytest.mark.slow
-def test_only_a_part_of_a_recording_is_measured(tmp_path):
-    figures = tmp_path / 'figures.json'
-    assert main.attitude_tradeoff([*TUMBLER, *TORQUES, '--from', '1.5', '--until', '4', '--json',
-                                  str(figures)]) == 0
-    assert json.loads(figures.read_text())['whole_s'] == 2.5
-
-
-def test_a_part_needs_a_recording(capsys):
-    assert main.attitude_tradeoff([*TUMBLER, '--from', '1']) == 2
-    assert '--from: expected a --recording, found none' in capsys.readouterr().err
 
 
 def test_of_several_topics_one_is_named(tmp_path, capsys):

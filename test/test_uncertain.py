@@ -16,8 +16,6 @@
 
 import json
 import re
-import subprocess
-import sys
 
 import numpy as np
 from pages import data_of
@@ -131,27 +129,6 @@ def test_a_spin_is_not_linear_when_its_angles_exceed_half_a_turn(tmp_path):
     assert angles[-1] == pytest.approx(2.5, abs=0.003)
 
 
-@pytest.mark.slow
-def test_a_warning_comes_before_motions_near_the_separatrix_part(tmp_path):
-    scale = 1e-4
-    near = Problem(RigidBody.from_moments(1.0, 2.0, 3.0), State(
-        angular_velocity=(10.0 * scale, 1.0, 10.0 * scale)))
-    text = '\n'.join(f'initial_angular_velocity.{axis}: {{normal: {scale}}}' for axis in 'xyz')
-    ensemble = ensemble_of(tmp_path / 'vary.yaml', text, near, 30.0)
-    found = band.band_of(ensemble)
-    count = len(found.spread)
-    rows = np.array([count // 2, count - 1, count + 200])
-    times_ns = np.rint(1e9 * found.seconds[rows]).astype(np.int64)
-    motions = Ensemble(near, times_ns[-1], ensemble.dispersions, 0, times_ns=times_ns).rows(
-        0, 20_000)['motion']
-    rates = motions[..., 4:].std(axis=0)
-    expected = np.linalg.norm(found.spread[rows[:2], 3:], axis=2)
-    assert (np.abs(rates[:2] - expected) < 0.03 * expected.max(axis=1)[:, None]).all()
-    beyond = band._linear(ensemble, ensemble.moments[0], times_ns).spread[2, 3:]
-    wrong = np.abs(np.linalg.norm(beyond, axis=1) - rates[2]).max()
-    assert wrong > 0.1 * np.linalg.norm(beyond, axis=1).max()
-
-
 def test_a_warning_counts_the_product_of_two_parameters(tmp_path):
     # The rate w along x of a sphere with the rotor momentum h along y turns at the rate h / J, so
     # its component along z is w h t / J to the lowest order.
@@ -260,14 +237,6 @@ def test_a_band_is_that_of_one_replay(tmp_path, capsys, arguments):
                                  'examples/vary.yaml']) == 2
     line, = capsys.readouterr().err.splitlines()
     assert '--uncertain' in line
-
-
-@pytest.mark.slow
-def test_without_uncertain_nothing_is_imported():
-    code = ('import sys; from rigid_body_ros.commands import main; '
-            f'main.attitude_replay({[RECORDING, "--scene", SCENE]!r}); '
-            'sys.exit(any(name.startswith("rigid_body_ros.ensemble") for name in sys.modules))')
-    assert subprocess.run([sys.executable, '-c', code], capture_output=True).returncode == 0
 
 
 def final(text):
