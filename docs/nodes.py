@@ -36,7 +36,8 @@ from rigid_body_ros.commands.identify import attitude_identify
 from rigid_body_ros.commands.regress import attitude_regress
 from rigid_body_ros.commands.replay import attitude_replay
 from rigid_body_ros.commands.tradeoff import attitude_tradeoff
-from rigid_body_ros.runtime.parameters import BIG, TINY
+from rigid_body_ros.propagation import LONGEST
+from rigid_body_ros.runtime.parameters import TINY
 from rigid_body_ros.scene.parameters import NAMED, of_names
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
@@ -71,20 +72,20 @@ SUBSCRIBED = [
 ]
 SUBSCRIBED_IF_ENABLED = [
     Topic('wheel_torque', WRENCH, TORQUE,
-          'If `wheels`: motor torque on the rotors, N m, body axes, from the stamp on; the '
+          'With `wheels`: motor torque on the rotors, N m, body axes, from the stamp on; the '
           'opposite torque acts on the body. The frame must be empty or the body frame.'),
     Topic('wheel_command', JOINTS, TORQUE,
-          'If `wheel_names`: efforts, N m, of the wheels in `name`. A wheel keeps its effort '
+          'With `wheel_names`: efforts, N m, of the wheels in `name`. A wheel keeps its effort '
           'until a message lists it again. Frame, positions and velocities are ignored.'),
     Topic('inertia', INERTIA, 'reliable, keep last 1000',
-          'If `inertia_topic`: the inertia from the stamp on, about the centre of mass, kg m^2, '
+          'With `inertia_topic`: the inertia from the stamp on, about the centre of mass, kg m^2, '
           'body axes. `m` and `com` are ignored. The frame must be empty or the body frame. The '
           'damping does not change; see `inertia_change`.'),
     Topic('robot_description', 'std_msgs/msg/String', 'reliable, transient local, keep last 1',
-          'If the parameters have no inertia and no URDF: the URDF. Only the first message '
+          'Without inertia and URDF in the parameters: the URDF. Only the first message '
           'counts.'),
     Topic('/clock', 'rosgraph_msgs/msg/Clock', 'best effort, keep last 1',
-          'If `use_sim_time`: simulated time, which the node follows.'),
+          'With `use_sim_time`: simulated time, which the node follows.'),
 ]
 PUBLISHED = [
     Topic('attitude', 'geometry_msgs/msg/QuaternionStamped', STATE,
@@ -116,31 +117,31 @@ PUBLISHED = [
 ]
 OPTIONAL = [
     Topic('rotor_momentum', VECTOR3, STATE,
-          'If `wheels`: momentum of the rotors relative to the body, N m s, body axes.'),
+          'With `wheels`: momentum of the rotors relative to the body, N m s, body axes.'),
     Topic('applied_torque', WRENCH, STATE,
-          'If `actuator.topics`: total torque on the body, N m, after delay, limit and lag; body '
-          'frame.'),
+          'With `actuator.topics`: total torque on the body, N m, after delay, limit and lag; '
+          'body frame.'),
     Topic('wheel_states', JOINTS, STATE,
-          'If `wheel_names`: speed relative to the body, rad/s, and acting effort, N m, of each '
+          'With `wheel_names`: speed relative to the body, rad/s, and acting effort, N m, of each '
           'wheel; no positions.'),
     Topic('~/accepted_torque_1', WRENCH, LOG,
           'The log of the second topic of `torque_topics`; `~/accepted_torque_2` of the third, '
           'and so on.'),
     Topic('~/accepted_wheel_torque', WRENCH, LOG,
-          'If `wheels`: every accepted torque on the rotors, and the markers.'),
+          'With `wheels`: every accepted torque on the rotors, and the markers.'),
     Topic('~/accepted_wheel_command', JOINTS, LOG,
-          'If `wheel_names`: every accepted command as it was sent, and the markers.'),
+          'With `wheel_names`: every accepted command as it was sent, and the markers.'),
     Topic('~/accepted_inertia', INERTIA, LOG,
-          'If `inertia_topic`: every accepted inertia, and the markers.'),
+          'With `inertia_topic`: every accepted inertia, and the markers.'),
     Topic('/tf', 'tf2_msgs/msg/TFMessage', STATE,
-          'If `publish_tf` (needs tf2_msgs): transform from the space frame to the body frame, '
+          'With `publish_tf` (needs tf2_msgs): transform from the space frame to the body frame, '
           'with zero translation.'),
     Topic('/clock', 'rosgraph_msgs/msg/Clock', STATE,
-          'If `publish_clock` in lockstep: the stamp of each response. In `mode: clock`: the '
+          'With `publish_clock` in lockstep: the stamp of each response. In `mode: clock`: the '
           'simulated time.'),
 ]
 #: The names under which the page lists the profiles that several topics share.
-PROFILES = {TORQUE: 'torque', STATE: 'state', LOG: 'log'}
+PROFILES = {TORQUE: '*torque*', STATE: '*state*', LOG: '*log*'}
 #: The causes of rejection of a torque, and their meanings.
 CAUSES = {
     'malformed': 'The bytes are not a message of the type, or the stamp is invalid; on '
@@ -233,8 +234,7 @@ under `rejected: CAUSE`.
 ## Parameters
 
 The node and all commands read these parameters from [the scene file](scene.md). All except
-`publish_rate` are read-only while the node runs. `use_sim_time` and `qos_overrides` belong to ROS,
-`autostart` to `attitude_lifecycle_node`.
+`publish_rate` are read-only while the node runs. Times, speeds and variances are at most 1e9.
 
 {parameters}
 
@@ -317,37 +317,50 @@ def nodes():
         subscribed=topics(SUBSCRIBED),
         subscribed_if_enabled=topics(SUBSCRIBED_IF_ENABLED),
         published=topics(PUBLISHED), optional=topics(OPTIONAL),
-        causes=table(('cause', 'meaning'),
-                     [(f'`{cause}`', meaning) for cause, meaning in CAUSES.items()]),
-        parameters=table(('parameter', 'default', 'values', 'meaning'), parameters()))
+        causes='\n'.join(wrapped(f'- `{cause}`: {meaning}', 2)
+                         for cause, meaning in CAUSES.items()),
+        parameters=table(('parameter', 'default; other values', 'meaning'), parameters()))
 
 
 def commands():
-    """Return the page of the commands; an option of several commands stands in its first table."""
-    options = {command.name: rows_of(command.parser()) for command, _, _ in COMMANDS}
-    names = {}
-    for name, rows in options.items():
-        for row in rows:
-            names.setdefault(row, []).append(name.removeprefix('attitude_'))
-    shared = [(*row, users_of(users)) for row, users in names.items() if len(users) > 1]
+    """Return the page of the commands; an option of several commands stands in the first list."""
+    options = {command.name: [wrapped(f'- {argument(action)}: {action.help}', 2)
+                              for action in command.parser()._actions
+                              if action.dest not in ('help', 'version')]
+               for command, _, _ in COMMANDS}
+    users = {}
+    for name, lines in options.items():
+        for line in lines:
+            users.setdefault(line, []).append(name)
+    shared = {}
+    for line, names in users.items():
+        if len(names) > 1:
+            shared.setdefault(users_of(names), []).append(line)
     return COMMANDS_PAGE.format(
-        shared=table(('argument', 'meaning', 'commands'), shared),
-        commands='\n\n'.join(
-            f'## {command.name}\n\n'
-            f'{textwrap.fill(f"{command.description} See {page}.", 99)}\n\n'
-            f'```text\nusage: {command.name} {usage}\n```\n\n' + table(
-                ('argument', 'meaning'),
-                [row for row in options[command.name] if len(names[row]) == 1])
+        shared='\n\n'.join('\n'.join((wrapped(f'{names}:'), '', *lines))
+                           for names, lines in shared.items()),
+        commands='\n\n'.join('\n'.join((
+            f'## {command.name}\n', wrapped(f'{command.description} See {page}.'),
+            f'\n```text\nusage: {command.name} {usage}\n```\n',
+            *(line for line in options[command.name] if len(users[line]) == 1)))
             for command, usage, page in COMMANDS),
         exits=table(('status', 'meaning'), EXITS))
 
 
 def users_of(names):
     """Return a text that names the commands with an option."""
-    others = {command.name.removeprefix('attitude_') for command, _, _ in COMMANDS} - {*names}
+    others = [command.name for command, _, _ in COMMANDS if command.name not in names]
     if not others:
-        return 'all'
-    return ', '.join(names) if len(others) > 2 else f'all but {", ".join(sorted(others))}'
+        return 'All commands'
+    named = names if len(others) > 2 else others
+    listed = ', '.join(f'`{name}`' for name in named)
+    return listed if named is names else f'All but {listed}'
+
+
+def wrapped(text, indent=0):
+    """Return text in lines of the length that the pages have."""
+    return textwrap.fill(text, 99, subsequent_indent=' ' * indent, break_long_words=False,
+                         break_on_hyphens=False)
 
 
 def parameters():
@@ -360,7 +373,7 @@ def parameters():
     listed = [one for parameter in scene.PARAMETERS.values() for one in (
         parameter, *named.get(parameter.name, {}).values())]
     return [row_of([*group]) for _, group in itertools.groupby(
-        listed, lambda one: (one.name.rpartition('.')[0], one.unit, one.description))]
+        listed, lambda one: (one.name.rpartition('.')[0], one.description, one.interval))]
 
 
 def row_of(group):
@@ -370,41 +383,34 @@ def row_of(group):
     defaults = [default(parameter) for parameter in group]
     if len({*defaults}) == 1:
         defaults = defaults[:1]
-    given = ' '.join(defaults)
-    if group[0].unit:
-        given += f' ({group[0].unit})' if given == 'none' else f' {group[0].unit}'
-    return (', '.join(f'`{name}`' for name in names), given, values(group[0]),
+    given = f'{" ".join(defaults)} {group[0].unit}'.strip()
+    others = values(group[0])
+    return (', '.join(f'`{name}`' for name in names), f'{given}; {others}' if others else given,
             group[0].description)
 
 
 def topics(listed):
-    """Return a table of topics in Markdown."""
-    return table(('topic', 'type', 'QoS', 'meaning'), [
-        (f'`{topic.name}`', topic.kind.replace('/msg/', '/'), PROFILES.get(topic.qos, topic.qos),
-         topic.meaning) for topic in listed])
-
-
-def rows_of(parser):
-    """Return the rows of the arguments of a command."""
-    return [(argument(action), action.help)
-            for action in parser._actions if action.dest not in ('help', 'version')]
+    """Return a list of topics in Markdown."""
+    return '\n'.join(wrapped(f'- `{topic.name}` ({topic.kind.replace("/msg/", "/")}; '
+                             f'{PROFILES.get(topic.qos, topic.qos)}): {topic.meaning}', 2)
+                     for topic in listed)
 
 
 def argument(action):
     """Return the names of an argument and a placeholder for its value."""
-    names = ', '.join(f'`{name}`' for name in action.option_strings)
+    names = ', '.join(action.option_strings)
     if action.nargs == 0:
-        return names
+        return f'`{names}`'
     takes = ' '.join(action.metavar) if isinstance(action.metavar, tuple) \
         else action.metavar or '|'.join(action.choices or ()) or action.dest.upper()
     more = ' ...' if action.nargs == argparse.ONE_OR_MORE else ''
-    return f'{names} `{takes}`{more}'.strip()
+    return f'`{f"{names} {takes}".strip()}{more}`'
 
 
 def default(parameter):
     """Return the default of a parameter as it is written in YAML."""
     if parameter.default is None:
-        return 'none'
+        return 'none,'
     if isinstance(parameter.default, bool):
         return str(parameter.default).lower()
     if isinstance(parameter.default, list):
@@ -414,15 +420,15 @@ def default(parameter):
 
 
 def values(parameter):
-    """Return the values that a parameter accepts, or '' if its type says it all."""
+    """Return the other values that a parameter accepts, or '' if its type says it all."""
     if parameter.choices:
-        return ', '.join(parameter.choices)
+        return ', '.join(value for value in parameter.choices if value != parameter.default)
     if not parameter.interval:
         return ''
     low, high = parameter.interval
-    if high < BIG:
+    if high < LONGEST:
         return f'{low:g} to {high:g}'
-    return {-BIG: '', 0.0: '>= 0', TINY: '> 0'}[low]
+    return {0: '>= 0', TINY: '> 0'}.get(low, f'>= {low:g}' if low > 0 else '')
 
 
 def table(head, rows):
