@@ -90,8 +90,6 @@ class Requirement:
     @property
     def columns(self) -> dict[str, str]:
         """Return the names and units of the columns with the results of `measured`."""
-        if self.after is None:
-            return {}
         text = f'{self} {self.unit} after {self.after:.12g} s'
         return {f'settling_time: {text}': 's', f'overshoot: {text}': self.unit}
 

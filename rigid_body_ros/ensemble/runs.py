@@ -359,34 +359,34 @@ class Ensemble:
         """
         messages = [impossible or too_far for impossible, too_far in zip(
             applied.messages, self._reach.messages(applied))]
+        motions = np.full((len(messages), len(self._at), 7), np.nan)
+        results = np.full((len(messages), len(self._results)), np.nan)
         rows = np.flatnonzero([not message for message in messages])
-        if len(rows) == len(messages):
-            return self._computed(applied)
-        motions, results = self._unknown(len(messages))
-        if len(rows):
-            motions[rows], of_rows, results[rows] = self._computed(
-                self.applied(applied.runs[rows]))
-            for row, message in zip(rows.tolist(), of_rows):
-                messages[row] = message
+        if len(rows) and not (self.in_python or self.problem.changes or self.problem.named_wheels
+                              or self.problem.actuators):
+            possible = applied if len(rows) == len(messages) else self.applied(applied.runs[rows])
+            with suppress(ValueError):  # otherwise, find out which of the runs fail, and why
+                motions[rows], of_rows = self._together(possible)
+                for row, message in zip(rows.tolist(), of_rows):
+                    messages[row] = message
+                return motions, messages, results
+        for row in rows.tolist():
+            interrupts.check()
+            try:
+                motion, problem = self.solved(applied, row)
+                results[row] = [number for requirement in self.requirements for number in
+                                requirement.measured(problem, self.end_ns, self._nominal[1])]
+                motions[row] = motion
+            except ValueError as error:
+                run = f'run {applied.runs[row]}: ' if self.controller else ''
+                messages[row] = reason(ValueError(f'{run}{error}'))
         return motions, messages, results
-
-    def _unknown(self, runs: int) -> tuple[Floats, Floats]:
-        """Return arrays for motions and results, filled with NaN."""
-        return (np.full((runs, len(self._at), 7), np.nan),
-                np.full((runs, len(self._results)), np.nan))
 
     @cached_property
     def _reach(self) -> Reach:
         return Reach(self.problem, self.end_ns, self._noise, self._without)
 
-    def _computed(self, applied: Applied) -> _Motions:
-        if not (self.in_python or self.problem.changes or self.problem.named_wheels
-                or self.problem.actuators):
-            with suppress(ValueError):  # otherwise, find out which of the runs fail, and why
-                return self._together(applied)
-        return self._one_by_one(applied)
-
-    def _together(self, applied: Applied) -> _Motions:
+    def _together(self, applied: Applied) -> tuple[Floats, list[str]]:
         count = len(applied.runs)
         shared = self.problem.logs
         logs: LogsOfRuns = [shared] * count if len(shared) > 1 else next(iter(shared), None)
@@ -400,24 +400,7 @@ class Ensemble:
             fields=applied.fields if self._of_fields else self.problem.fields,
             torque_gains=gains, **asdict(self.problem.options))
         return np.concatenate([motions.attitude, motions.angular_velocity], axis=-1), [
-            message and reason(ValueError(message)) for message in motions.messages
-        ], np.empty((count, 0))
-
-    def _one_by_one(self, applied: Applied) -> _Motions:
-        messages = list[str]()
-        motions, results = self._unknown(len(applied.runs))
-        for row in range(len(applied.runs)):
-            interrupts.check()
-            try:
-                motion, problem = self.solved(applied, row)
-                results[row] = [number for requirement in self.requirements for number in
-                                requirement.measured(problem, self.end_ns, self._nominal[1])]
-                motions[row] = motion
-                messages.append('')
-            except ValueError as error:
-                run = f'run {applied.runs[row]}: ' if self.controller else ''
-                messages.append(reason(ValueError(f'{run}{error}')))
-        return motions, messages, results
+            message and reason(ValueError(message)) for message in motions.messages]
 
     def solved(self, applied: Applied, row: int) -> tuple[Floats, Problem]:
         """
