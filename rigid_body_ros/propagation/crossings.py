@@ -84,16 +84,15 @@ class Crossings(NamedTuple):
 class _Pieces(NamedTuple):
     """Pieces of a motion. The last axis of each array is that of the pieces."""
 
-    begins_ns: Ints
-    ends_ns: Ints
+    begins_ns: NDArray[Any]
+    ends_ns: NDArray[Any]
     #: The values of the function at the nodes, and the coefficients of the polynomial.
-    values: Floats
-    terms: Floats
+    values: NDArray[Any]
+    terms: NDArray[Any]
 
-    def select(self, rows: Ints | NDArray[np.bool_]) -> _Pieces:
+    def select(self, rows: NDArray[Any]) -> _Pieces:
         """Return some of the pieces."""
-        return _Pieces(self.begins_ns[rows], self.ends_ns[rows], self.values[:, rows],
-                       self.terms[:, rows])
+        return _Pieces(*(part[..., rows] for part in self))
 
 
 def crossings(restart: Restart, function: Function, breaks_ns: Ints, level: float,
@@ -166,9 +165,9 @@ def _divided(restart: Restart, function: Function, breaks_ns: Ints, size: float,
             best = max(best, float(pieces.values.max()))
             sizes, tiny = np.abs(pieces.terms), _ROUNDING * size
             change, error = sizes[1:].sum(axis=0), _DEGREE * sizes[-2:].sum(axis=0)
-            slopes = _slopes(pieces.terms)
+            slopes = chebder(pieces.terms)
             resolved = (change <= tiny) | (error <= tiny) & (
-                _keeps_sign(slopes) | _keeps_sign(_slopes(slopes)))
+                _keeps_sign(slopes) | _keeps_sign(chebder(slopes)))
             near = matters(pieces.terms[0], change + error + tiny, best)
             parts = np.where(resolved | ~near, 1.0, _PARTS)
             parts = np.where(turned > _ANGLE, np.minimum(np.ceil(turned), _MOST_PARTS), parts)
@@ -193,28 +192,22 @@ def _sampled(computation: Any, function: Function, begins_ns: Ints,
                          f'{values.shape} for {times_ns.size} times')
     speeds = np.linalg.norm(motion.angular_velocity, axis=1)
     values, speeds = (row.reshape(-1, _DEGREE + 1).T for row in (values, speeds))
-    terms, places = _fitted(values), 2.0 * (times_ns - begins_ns) / spans - 1.0
+    places = 2.0 * (times_ns - begins_ns) / spans - 1.0
+    terms, short = _fitted(values), spans == 1
     for _ in range(_CORRECTIONS):
         terms += _fitted(values - chebval(places, terms, tensor=False))
-    short = spans == 1
     terms[:, short] = 0.0
-    terms[0, short] = 0.5 * (values[-1] + values[0])[short]
-    terms[1, short] = 0.5 * (values[-1] - values[0])[short]
+    terms[:2, short] = 0.5 * np.stack([values[-1] + values[0], values[-1] - values[0]])[:, short]
     return _Pieces(begins_ns, ends_ns, values, terms), 1e-9 * spans * speeds.max(axis=0)
 
 
-def _fitted(values: Floats) -> Floats:
+def _fitted(values: Floats) -> NDArray[Any]:
     """Return the Chebyshev coefficients of the polynomials with the given values at the nodes."""
     # A matrix product would add in an order that depends on the processor.
     return np.asarray(sum(row[:, None] * value for row, value in zip(_FIT, values)))
 
 
-def _slopes(terms: Floats) -> Floats:
-    """Return the coefficients of the derivatives of polynomials."""
-    return np.asarray(chebder(terms), float)
-
-
-def _keeps_sign(terms: Floats) -> NDArray[np.bool_]:
+def _keeps_sign(terms: NDArray[Any]) -> NDArray[np.bool_]:
     """Return whether the coefficients of polynomials show that they have no root."""
     return np.asarray(np.abs(terms[0]) > np.abs(terms[1:]).sum(axis=0))
 
@@ -236,7 +229,7 @@ def _extrema(pieces: _Pieces) -> tuple[Floats, Floats]:
 
     The places are the begin, the extremum, if there is one, and the end.
     """
-    slopes, middle = _slopes(pieces.terms), np.ones(pieces.begins_ns.size)
+    slopes, middle = chebder(pieces.terms), np.ones(pieces.begins_ns.size)
     turns = chebval(-1.0, slopes) * chebval(1.0, slopes) < 0.0
     middle[turns] = _roots(slopes[:, turns], -middle[turns], middle[turns])
     first, last = pieces.values[0], pieces.values[-1]
@@ -245,9 +238,9 @@ def _extrema(pieces: _Pieces) -> tuple[Floats, Floats]:
             np.stack([first, extremum, last], axis=1).ravel())
 
 
-def _roots(terms: Floats, low: Floats, high: Floats) -> Floats:
+def _roots(terms: NDArray[Any], low: Floats, high: Floats) -> Floats:
     """Return the root of each polynomial between two places, where its sign changes."""
-    slopes, places = _slopes(terms), 0.5 * (low + high)
+    slopes, places = chebder(terms), 0.5 * (low + high)
     rises = chebval(high, terms, tensor=False) > chebval(low, terms, tensor=False)
     for _ in range(_STEPS):
         values = chebval(places, terms, tensor=False)
