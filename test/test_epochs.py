@@ -241,14 +241,6 @@ def test_epochs_that_overlap_keep_their_stamps_and_log_times_ascend(run, tmp_pat
         assert (len(result.same), result.same.all(), result.epochs) == (111, True, 3)
 
 
-def test_an_epoch_of_simulated_time_may_begin_at_zero(run, tmp_path):
-    start = replace(FIRST, time_ns=0)
-    log = save(tmp_path / 'log.mcap', epoch(run, start, {ACCEPTED: rows([0.5, 1.0], (0, 0, 0.1))}))
-    result = replay(log, run, tmp_path / 'out.mcap')
-    assert (result.start.time_ns, attitudes(tmp_path / 'out.mcap').stamps_ns.tolist()) \
-        == (0, [0, SECOND // 2, SECOND])
-
-
 @pytest.mark.parametrize('count', [1000, *at_night(20_000)])
 def test_one_epoch_is_replayed_in_pieces(run, tmp_path, monkeypatch, count):
     monkeypatch.setattr(torques, '_SAMPLES', 100)
@@ -420,13 +412,6 @@ def test_a_measured_momentum_of_the_rotors_needs_one_epoch(wheeled, tmp_path):
                 both.write(topic, SECOND, data)
     with pytest.raises(InputError, match='--wheel-momentum: expected one epoch, found 2'):
         replay(tmp_path / 'both.mcap', wheeled, topic=ACCEPTED, wheel_momentum='/h')
-
-
-def test_the_rotors_of_an_epoch_are_those_of_its_marker(run, tmp_path):
-    log = save(tmp_path / 'log.mcap', epoch(run, with_rotors(FIRST), TORQUES))
-    result = replay(log, run, tmp_path / 'out.mcap')
-    motion = node_logs.motion_of(run, with_rotors(FIRST), TORQUES)
-    np.testing.assert_array_equal(result.last.attitude, motion.attitude[-1])
 
 
 @pytest.mark.parametrize('begin', [FIRST, SECOND_START])

@@ -74,16 +74,6 @@ def test_an_existing_file_is_kept_unless_it_may_be_overwritten(tmp_path, name):
     assert (tmp_path / name).read_text() == 'new'
 
 
-def test_a_file_that_appears_while_an_output_is_written_is_kept(tmp_path):
-    path = tmp_path / 'file'
-    with pytest.raises(InputError, match='file: output exists'), files.overwriting(False), \
-            files.atomic_output(path, '.json') as temporary:
-        temporary.write_text('new')
-        path.write_text('old')
-    assert path.read_text() == 'old'
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def without_links(*_):
     raise PermissionError(errno.EPERM, 'Operation not permitted')  # as on FAT
 
@@ -270,13 +260,6 @@ def test_a_name_that_promises_another_format_is_refused(tmp_path, suffix, expect
         files.check((tmp_path / f'motion{suffix}', expected))
 
 
-def test_two_outputs_are_two_files(tmp_path):
-    (tmp_path / 'link').symlink_to('file')
-    with pytest.raises(InputError, match='link: would overwrite the output .*file'):
-        files.check((tmp_path / 'file', '.json'), (tmp_path / 'link', '.png'))
-    assert [path.name for path in tmp_path.iterdir()] == ['link']
-
-
 def test_what_changes_while_a_file_is_written_is_checked_again(tmp_path):
     # The input takes the name of the output.
     source, output = tmp_path / 'source', tmp_path / 'output'
@@ -286,18 +269,6 @@ def test_what_changes_while_a_file_is_written_is_checked_again(tmp_path):
         part.write_text('new')
         source.rename(output)
     assert [path.read_text() for path in tmp_path.iterdir()] == ['input']
-
-
-def test_an_input_that_takes_the_place_of_the_target_of_a_link_is_not_replaced(tmp_path):
-    source, output = tmp_path / 'source', tmp_path / 'output'
-    source.write_text('input')
-    output.symlink_to('elsewhere')
-    with pytest.raises(InputError, match='would overwrite'), files.reading(source), \
-            files.atomic_output(output, '.json'):
-        source.rename(tmp_path / 'elsewhere')
-        output.unlink()
-        output.symlink_to('another')
-    assert (tmp_path / 'elsewhere').read_text() == 'input'
 
 
 def test_what_is_read_no_longer_may_be_replaced(tmp_path):

@@ -33,7 +33,6 @@ import zstandard
 TORQUES = np.random.default_rng(3).normal(size=(50, 3))
 TORQUES[0] = [5e-324, -0.0, 1.7976931348623157e308]
 STAMPS = EPOCH_NS + np.arange(50) * SECOND // 100
-ENDINGS = [messages.QUATERNION, messages.VECTOR3, messages.ODOMETRY]
 
 
 def write(path, rows, topic='/torque'):
@@ -102,28 +101,15 @@ def test_an_interrupt_at_any_moment_leaves_a_whole_file_or_none(tmp_path):
     assert path.exists()
 
 
-@pytest.mark.parametrize('kind', ENDINGS, ids=lambda kind: kind.name)
-def test_mcap_ros2_support_reads_every_type_that_we_write(tmp_path, kind):
-    values = np.arange(1.0, kind.doubles + 1.0)
-    with recording.Writer(tmp_path / 'motion.mcap') as writer:
-        writer.add_topic('/motion', kind)
-        writer.write('/motion', EPOCH_NS, kind.encode(EPOCH_NS, 'world', values, 'base_link'))
-    with open(tmp_path / 'motion.mcap', 'rb') as stream:
-        (schema, _, _, message), = make_reader(
-            stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
-    assert schema.name == kind.name
-    stamp = message.header.stamp
-    assert stamp.sec * SECOND + stamp.nanosec == EPOCH_NS
-    first = {'Quaternion': lambda: message.quaternion.x, 'Vector3': lambda: message.vector.x,
-             'Odometry': lambda: message.pose.pose.position.x}
-    assert next(get() for name, get in first.items() if name in kind.name) == 1.0
-
-
 def test_the_file_has_what_ros2_bag_play_and_foxglove_need(recorded):
     with open(recorded, 'rb') as stream:
-        reader = make_reader(stream)
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         assert reader.get_header().profile == 'ros2'
         summary = reader.get_summary()
+        read = [(stamp.log_time, data.wrench.torque) for _, _, stamp, data in
+                reader.iter_decoded_messages()]
+    assert [time_ns for time_ns, _ in read] == STAMPS.tolist()
+    np.testing.assert_array_equal([(t.x, t.y, t.z) for _, t in read], TORQUES)
     assert summary.statistics.message_count == 50
     channel, = summary.channels.values()
     schema = summary.schemas[channel.schema_id]
@@ -198,21 +184,6 @@ def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, messa
 def test_a_topic_that_does_not_fit_is_named(topic, message):
     with pytest.raises(InputError, match=f'iss.mcap: {re.escape(message)}'):
         recording.read(RECORDINGS / 'iss.mcap', topic)
-
-
-def test_if_no_topic_fits_all_topics_are_listed_with_their_types(tmp_path):
-    path = tmp_path / 'other.mcap'
-    with open(path, 'wb') as stream:
-        writer = McapWriter(stream)
-        writer.start('ros2')
-        writer.register_channel('/imu', 'cdr', writer.register_schema(
-            'sensor_msgs/msg/Imu', 'ros2msg', b''))
-        writer.register_channel('/raw', 'cdr', 0)
-        writer.finish()
-    with pytest.raises(InputError, match=re.escape('WrenchStamped or geometry_msgs/msg/Wrench, '
-                                                   'found /imu (sensor_msgs/msg/Imu), '
-                                                   '/raw (no type)')):
-        recording.read(path)
 
 
 def test_a_message_that_is_not_what_its_schema_says_is_named(tmp_path):

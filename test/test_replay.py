@@ -19,7 +19,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import bags
 from conftest import (
@@ -382,27 +381,6 @@ def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, numb
         f'attitude_replay: warning: {config}: initial_angular_velocity: 6000 rad/s is 955')
     assert last == 'attitude_replay: interrupted; no partial output was left\n'
     assert not output.exists()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('number', [signal.SIGINT, *at_night(signal.SIGTERM)])
-def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, output, number):
-    rows = [(EPOCH_NS + k * SECOND // 1000, '', [1e-3, 0.0, 0.0]) for k in range(60_000)]
-    torques = write_torques(tmp_path / 'long.mcap', rows)
-    process = subprocess.Popen([*COMMAND, torques, '--scene', str(CONFIG / 'tumbler.yaml'),
-                                '-o', str(output), '--rate', '1000', '--until', '86400'],
-                               stderr=subprocess.PIPE, text=True, start_new_session=True)
-    while not list(tmp_path.glob('.motion.mcap.*')) and process.poll() is None:
-        time.sleep(0.001)
-    os.kill(process.pid, number)
-    _, words = process.communicate(timeout=60)
-    assert process.returncode == 128 + number
-    line = words.splitlines()[-1]
-    assert line.startswith('attitude_replay: interrupted; ')
-    assert not output.exists()
-    partial = tmp_path / 'motion.partial.mcap'
-    assert line.endswith(str(partial) if partial.exists() else '; no partial output was left')
-    assert {path.name for path in tmp_path.iterdir()} <= {'long.mcap', 'motion.partial.mcap'}
 
 
 @pytest.mark.slow

@@ -176,14 +176,6 @@ def test_wheels_need_no_torque_on_the_body(tmp_path, written):
     assert float(result.check.finding.split()[-1]) < 1e-14
 
 
-def test_damping_alone_has_no_rotors(tmp_path, written):
-    output = tmp_path / 'motion.mcap'
-    path = write(tmp_path / 'one.mcap', ['/control'])
-    result = replay(path, scene.load(written(DAMPING)), output)
-    check_written(output, expected(tmp_path / 'scene.yaml', [log('/control')]), has_rotors=False)
-    assert 'rotors' not in result.text()
-
-
 @pytest.mark.parametrize(('topics', 'lines', 'interpolation', 'law', 'bound'), [
     (['/control', '/wheel_torque'], [WHEELS], 'hold', 'work and energy', 1e-9),
     (['/control'], ['damping: {dxx: 2.0, dyy: 3.0, dzz: 4.0}'], 'linear', 'work and energy', 1e-7),
@@ -269,20 +261,6 @@ def test_the_last_digits_of_all_inputs_count(recorded, written):
     assert 0.0 < result.last_digits.effect < 1e-13
     effects = [last_digit_effect(result.problem, at=result.trajectory.times_ns) for _ in 'ab']
     assert effects[0] == effects[1] > 0.0
-
-
-def test_outputs_at_a_rate_come_in_blocks_of_the_same_motion(recorded, written, tmp_path,
-                                                             monkeypatch):
-    path = written(TWO, WHEELS, DAMPING, ROTORS)
-    outputs = [tmp_path / 'whole.mcap', tmp_path / 'blocks.mcap']
-    for output, largest in zip(outputs, (2 ** 16, 37)):
-        monkeypatch.setattr('rigid_body_ros.replay.batches._LARGEST', largest)
-        assert main.attitude_replay([recorded, '--scene', path, '-o', str(output), '--rate', '200',
-                                    '--until', '1']) == 0
-    whole, blocks = (recording.read(output, '/attitude', messages.QUATERNION)
-                     for output in outputs)
-    assert len(whole) == 201
-    np.testing.assert_array_equal(whole.values, blocks.values)
 
 
 def test_a_source_without_messages_has_no_torque(tmp_path, written):

@@ -24,7 +24,6 @@ from rigid_body_ros import scene, State
 from rigid_body_ros.commands import main
 from rigid_body_ros.scene import InputError, Scene
 from rigid_body_ros.scene.parts import at_start
-from robots import robot
 
 INERTIA = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}
 PIVOT = {'fields': ['pivot'], 'pivot.moment.z': -0.2, 'pivot.field.z': -9.81}
@@ -272,25 +271,6 @@ def test_a_value_that_is_probably_a_mistake_gives_a_warning(given, warning):
         **INERTIA, 'initial_angular_velocity.z': 90.0, 'plausible_speed': 90.0,
         # Three digits, as people write.
         'initial_attitude.x': 0.707, 'initial_attitude.w': 0.707}).warnings == []
-
-
-def test_notes_name_the_links_that_are_welded_and_those_that_move():
-    joints = [('fixed', 'hull', 'battery', '0 0.5 0', '0 0 0'),
-              ('continuous', 'hull', 'prop', '0 0 0.1', '0 0 0')]
-    inertial = '<inertial><mass value="{}"/><inertia ixx="0.25" iyy="0.25" izz="0.25" ixy="0" ' \
-               'ixz="0" iyz="0"/></inertial>'
-    found = Scene.from_values({
-        'link': 'hull', 'frame_prefix': 'one/', 'camera.gain': 1, 'robot_description': robot(
-            *joints, inertials={'hull': inertial.format(0.5), 'battery': inertial.format(0.5),
-                                'prop': inertial.format(0.1)})})
-    assert found.notes == [
-        'parameters that are not those of a scene are ignored: camera.gain',
-        "robot_description: welded to 'hull' by fixed joints: battery (total mass 1 kg)",
-        'robot_description: left out, because joints move them: prop']
-    assert np.diag(found.body.inertia).tolist() == [0.5625, 0.5, 0.5625]
-    force = found.links['one/battery'].torque([0.0, 0.0, 1.0], [0.0, 0.0, 0.0])
-    assert force.tolist() == [0.25, 0.0, 0.0]
-    assert Scene.from_values({'robot_description': robot(*joints, body='hull')}).notes == []
 
 
 @pytest.mark.parametrize(('text', 'message'), [

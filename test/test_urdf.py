@@ -86,14 +86,6 @@ def test_a_rotated_tensor_is_that_of_the_rotated_masses(rpy):
     np.testing.assert_array_equal(found, turned(rpy).inertia)  # the shift changes no bit
 
 
-def test_a_quarter_turn_swaps_the_entries():
-    # Yaw takes the x axis of the inertial frame to the y axis of the link.
-    text = inertial('<origin rpy="0 0 1.5707963267948966"/>')
-    np.testing.assert_allclose(
-        RigidBody.from_urdf(robot(body=text)).inertia,
-        [[0.2, 0.001, -0.007], [0.001, 0.1, 0.003], [-0.007, 0.003, 0.3]], rtol=0, atol=1e-16)
-
-
 def test_a_link_is_found_by_its_name_or_as_the_only_one_with_an_inertial():
     text = robot(base_link='', first=inertial(ixx='0.15'), second=inertial())
     assert RigidBody.from_urdf(text, 'first').inertia[0, 0] == 0.15
