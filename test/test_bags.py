@@ -263,19 +263,6 @@ def test_a_description_that_is_none_is_told(tmp_path, text):
     assert rows in ([], ALONE.rows())
 
 
-@pytest.mark.parametrize(('part', 'other'), [
-    ('storage_identifier: mcap', 'storage_identifier: tape'),
-    ("compression_mode: ''", 'compression_mode: magic'),
-    ('- bag.mcap', '- other.mcap'), ('- bag.mcap', '- ../../etc/passwd'), ('- bag.mcap', '- 7')])
-def test_a_description_that_does_not_fit_is_told_or_not_needed(tmp_path, part, other):
-    bag = bags.rosbag2(tmp_path, SENT['alone'])
-    text = (bag / 'metadata.yaml').read_text()
-    assert part in text
-    (bag / 'metadata.yaml').write_text(text.replace(part, other))
-    told, rows = outcome(bag)
-    assert rows == ALONE.rows() or (told and not rows)
-
-
 @pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
 def test_compressed_messages_without_their_description_are_read_or_told(tmp_path, storage):
     path = bags.bare(tmp_path, SENT['alone'], storage=storage, compression='MESSAGE')

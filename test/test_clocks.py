@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 from rclpy.parameter import Parameter
 from rclpy.time import Time
-from rigid_body_ros import messages, propagate, scene, State
+from rigid_body_ros import messages, scene, State
 from rigid_body_ros.node import AttitudeNode, clocks
 from rigid_body_ros.node.clocks import ArrivalStamps, WatchedClock
 from rigid_body_ros.node.diagnostics import OFFSETS
@@ -176,27 +176,6 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
     assert len(run.stamps_ns) > 10
 
 
-@pytest.mark.nightly
-def test_a_torque_that_timed_out_is_not_revived(tmp_path, domain):
-    with Session(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=rebase',
-                 '-p', 'torque_timeout:=0.2') as live:
-        settle(live, 5 * SECOND)
-        live.publish(5 * SECOND, '', [0.05, 0.0, 0.0])
-        live.wait_until(lambda: accepted(live), 'the torque')
-        run_clock(live, 5 * SECOND, 7 * SECOND)
-        settle(live, 7 * SECOND)
-        run_clock(live, 4 * SECOND, 5 * SECOND)
-        live.publish(5 * SECOND, '', [0.0, 0.0, 0.0])
-        run_clock(live, 5 * SECOND, 6 * SECOND)
-        live.dump_parameters(tmp_path / 'live.yaml')
-        assert live.stop() == 0
-        run = replayed(tmp_path, live)
-    np.testing.assert_array_equal(run.committed, run.replay)
-    momentum = scene.load(TUMBLER).body.angular_momentum(run.committed[:, 4:])
-    sizes = np.linalg.norm(momentum, axis=1)
-    np.testing.assert_allclose(sizes, sizes[0], rtol=1e-14)
-
-
 def test_a_torque_may_overtake_the_clock_it_is_stamped_by(tmp_path, domain):
     with Session(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore',
                  '-p', 'history:=60.0') as live:
@@ -211,21 +190,6 @@ def test_a_torque_may_overtake_the_clock_it_is_stamped_by(tmp_path, domain):
         run = replayed(tmp_path, live)
     assert set(run.stamps_ns) == {5 * SECOND, *early}
     np.testing.assert_array_equal(run.committed, run.replay)
-
-
-@pytest.mark.nightly
-def test_a_torque_that_the_clock_does_not_reach_is_rejected(domain):
-    with Session(TUMBLER, domain, *SIMULATED) as live:
-        settle(live, 5 * SECOND)
-        for _ in range(3):
-            live.publish(7 * SECOND, '', [1.0, 0.0, 0.0])
-        live.publish(5 * SECOND, '', [0.0, 0.0, 0.01])  # is applied before them
-        live.wait_until(lambda: live.torques, 'the torque of now')
-        live.wait_for_torques(4)
-        values, *_ = live.diagnosis('torques')
-        assert live.stop() == 0
-    assert (values['received'], values['rejected: future'], values['waiting']) == (4, 3, 0)
-    assert len(live.torques) == 1
 
 
 @pytest.mark.nightly
@@ -244,18 +208,6 @@ def test_a_torque_may_overtake_a_clock_that_jumps_back(tmp_path, domain, ahead_n
         assert live.stop() == 0
         run = replayed(tmp_path, live)
     np.testing.assert_array_equal(run.committed, run.replay)
-
-
-@pytest.mark.nightly
-def test_a_state_that_takes_long_is_published_while_the_clock_stands(domain):
-    with Session(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
-        settle(live, 5 * SECOND)
-        live.set_state(State(5 * SECOND, (0.0, 0.0, 0.0, 1.0), (1e4, 2e4, 3e4)))
-        live.publish(5 * SECOND, '', [1e-3, 0.0, 0.0])
-        live.wait_until(lambda: accepted(live), 'the torque')
-        settle(live, 10 * SECOND)
-        live.wait_until(lambda: live.diagnosis('motion')[0]['deadlines missed'], 'a diagnosis')
-        assert live.stop() == 0
 
 
 @pytest.mark.nightly
@@ -438,23 +390,6 @@ def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
     start = scene.load(TUMBLER).start
     assert mark == messages.epoch_marker(replace(start, time_ns=7 * SECOND))
     assert messages.WRENCH.decode(carried).stamp_ns == 7 * SECOND
-
-
-@pytest.mark.nightly
-def test_between_stamps_of_a_new_epoch_the_motion_is_that_of_its_log(domain):
-    with Session(TUMBLER, domain, *SIMULATED) as live:
-        run_clock(live, 5 * SECOND, 6 * SECOND)
-        start = State(6 * SECOND, (0.5, 0.5, -0.5, 0.5), (0.3, 0.2, -0.1))
-        live.set_state(start)
-        live.wait_until(lambda: len(live.received[COMMITTED]) == 2, 'the new epoch')
-        run_clock(live, 6 * SECOND + TICK_NS, 8 * SECOND)
-        settle(live, 8 * SECOND)
-        published = [message for message in decoded(live, ATTITUDE, messages.QUATERNION)
-                     if message.stamp_ns > start.time_ns]
-        assert live.stop() == 0
-    motion = propagate(scene.load(TUMBLER).body, start,
-                       at=[message.stamp_ns for message in published])
-    np.testing.assert_array_equal([message.values for message in published], motion.attitude)
 
 
 def test_torques_that_wait_for_the_clock_keep_their_order(context):

@@ -39,7 +39,6 @@ from node_logs import (
 import numpy as np
 import pytest
 from rigid_body_ros import messages, read, recording, scene, State
-from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
 from rigid_body_ros.identification.recorded import read_experiments
 from rigid_body_ros.recording import Reading, torques, writer
@@ -64,31 +63,6 @@ def two(run, tmp_path):
                                         *epoch(run, SECOND_START, MORE)])
 
 
-def test_a_node_that_was_killed_and_started_again_has_two_motions(tmp_path, capsys):
-    config = tmp_path / 'scene.yaml'
-    config.write_text('/**:\n  ros__parameters:\n    inertia: {ixx: 1.0, iyy: 1.0, izz: 1.0}\n')
-    run, begin = scene.load(config), 1_700_000_000
-    lives = [
-        (State(begin * SECOND), rows(begin + np.arange(0.0, 6.0, 0.5), (0.0, 0.0, 0.05))),
-        (State((begin + 20) * SECOND), rows(begin + 20 + np.arange(0.0, 10.5, 0.5),
-                                            (0.0, 0.0, 1e-6)))]
-    log = save(tmp_path / 'log.mcap', [one for start, torques in lives
-                                       for one in epoch(run, start, {ACCEPTED: torques})])
-    output = str(tmp_path / 'motion.mcap')
-    assert main.attitude_replay([log, '--scene', str(config), '-o', output]) == 0
-    rates = recording.read(output, '/angular_velocity', messages.VECTOR3)
-    assert rates.values[-1, 2] == pytest.approx(1e-5, rel=1e-9)
-    assert rates.values[11, 2] == pytest.approx(0.05 * 5.5, rel=1e-9)
-    words = capsys.readouterr().out
-    assert 'epochs        2, each from its own start state' in words
-    assert f'  epoch 1     from {begin * SECOND} ns on, over 5.5 s, to attitude 0 0 ' in words
-    assert 'final state   10 s after the start\n' in words
-    assert main.attitude_replay([log, '--scene', str(config), '--verify', log]) == 0
-    words = capsys.readouterr().out
-    assert 'compared      33 states of /node/committed in 2 epochs\n' in words
-    assert 'same bits     33 of 33\n' in words
-
-
 @pytest.mark.parametrize(('keep', 'block'), [(False, 2 ** 20), (True, 2 ** 12)])
 def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, monkeypatch, keep, block):
     monkeypatch.setattr(writer, '_CHUNK', block)  # what is read at a time
@@ -107,6 +81,9 @@ def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, monkeypatch
         if keep:
             np.testing.assert_array_equal(found.trajectory.attitude, motion.attitude)
     assert (first.account.samples, result.account.samples) == (40, 30)
+    words = result.text()
+    assert 'epochs        2, each from its own start state' in words
+    assert f'  epoch 1     from {FIRST.time_ns} ns on, over 3.9 s, to attitude ' in words
     replay(two, run, tmp_path / 'out.csv', keep=keep)
     table = np.loadtxt(tmp_path / 'out.csv', delimiter=',', skiprows=1, usecols=range(1, 5))
     np.testing.assert_array_equal(table, written.values)
@@ -184,14 +161,6 @@ def test_a_torque_of_a_later_epoch_is_named_by_its_number(run, tmp_path):
             (ACCEPTED, messages.wrench(21 * SECOND, 'map', np.ones(3)))]
     with pytest.raises(InputError, match="message 43: frame_id: expected .* found 'map'"):
         replay(save(tmp_path / 'log.mcap', sent), run)
-
-
-def test_the_log_of_a_node_is_not_skipped(two, tmp_path, capsys):
-    output = str(tmp_path / 'out.mcap')
-    assert main.attitude_replay([two, '--scene', str(CONFIG / 'tumbler.yaml'), '--from', '1',
-                                '-o', output]) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert 'two.mcap: --from: expected no time to skip, because the log of a node' in line
 
 
 @pytest.mark.parametrize('options', [{'interpolation': 'cubic'}, {'until': 2.5}], ids=str)
@@ -414,17 +383,6 @@ def test_a_measured_momentum_of_the_rotors_needs_one_epoch(wheeled, tmp_path):
         replay(tmp_path / 'both.mcap', wheeled, topic=ACCEPTED, wheel_momentum='/h')
 
 
-@pytest.mark.parametrize('begin', [FIRST, SECOND_START])
-def test_one_motion_is_that_of_the_epoch_that_the_scene_names(two, tmp_path, begin):
-    run = scene.load(CONFIG / 'tumbler.yaml')
-    named = replace(run, start=replace(run.start, time_ns=begin.time_ns))
-    problem = read(two, named)
-    (log,), start = problem.logs, problem.start
-    given = TORQUES if begin is FIRST else MORE
-    assert [*zip(log.times_ns.tolist(), map(tuple, log.torques.tolist()))] == given[ACCEPTED]
-    assert (start.time_ns, start.attitude.tolist()) == (begin.time_ns, begin.attitude.tolist())
-
-
 def test_of_equal_starts_the_last_epoch_is_meant():
     run = scene.load(CONFIG / 'tumbler.yaml')
     same = [recording.Logged(run.problem(start=State(begin_ns)), Account(), True, '', ())
@@ -468,17 +426,6 @@ def test_the_part_of_an_epoch_ends_after_its_start_and_begins_with_it(two, tmp_p
     with pytest.raises(InputError, match='two.mcap: --from: expected no time to skip, because '
                                          'the log of a node begins at its start state'):
         read_experiments([two], run, Reading((COMMITTED,), start=0.5))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('name', ['replay', 'compare', 'ensemble', *at_night(
-    'verify', 'identify', 'tradeoff')])
-def test_every_command_takes_an_epoch_without_torques(run, tmp_path, capsys, name):
-    log = save(tmp_path / 'log.mcap', epoch(run, FIRST, {ACCEPTED: []}))
-    status = called(tmp_path, name, log)
-    captured = capsys.readouterr()
-    # A single state determines nothing, and is not a motion to measure.
-    assert (status, len(captured.err.splitlines())) in ((0, 0), (2, 1), (3, 0))
 
 
 @pytest.mark.slow

@@ -200,27 +200,6 @@ def test_a_frame_prefix_names_the_body_and_its_links_but_not_space(scene_file):
         messages.wrench_frame('one/hand', loaded.body_frame, 'world', loaded.links)
 
 
-def test_a_replay_reads_and_writes_frames_with_the_prefix(tmp_path, scene_file):
-    outputs = {}
-    for prefix in ('', 'one/'):
-        path, output = tmp_path / 'log.mcap', tmp_path / 'motion.mcap'
-        with recording.Writer(path) as writer:
-            writer.add_topic('/torque', messages.WRENCH)
-            for number, name in enumerate((f'{prefix}base_link', f'{prefix}thruster', 'world')):
-                stamp = EPOCH_NS + number * SECOND
-                writer.write('/torque', stamp, messages.WRENCH.encode(
-                    stamp, name, [0.1, 0.2, 0.3, 0.01, 0.02, 0.03]))
-        given = scene_file(frame_prefix=prefix)
-        assert main.attitude_replay([str(path), '--scene', str(given), '-o', str(output)]) == 0
-        attitude, rates = (recording.read(output, topic, kind) for topic, kind in (
-            ('/attitude', messages.QUATERNION), ('/angular_velocity', messages.VECTOR3)))
-        assert {*attitude.frame_ids} == {'world'}
-        assert {*rates.frame_ids} == {f'{prefix}base_link'}
-        outputs[prefix] = attitude.values.tobytes() + rates.values.tobytes()
-        output.unlink()
-    assert outputs[''] == outputs['one/']
-
-
 @pytest.mark.parametrize('body_frame', ['thruster', 'hand', 'label'])
 def test_a_body_frame_with_other_axes_is_warned_of_and_means_the_link(scene_file, body_frame):
     loaded = scene.load(scene_file(body_frame=body_frame))
@@ -298,13 +277,6 @@ def test_interpolation_goes_from_frame_to_frame(tmp_path, scene_file):
     expected = TorqueLog(sent.stamps_ns, converted(sent).values[:, 3:], interpolation='linear')
     assert result.problem.logs[0].torques.tobytes() == expected.torques.tobytes()
     assert not result.problem.logs[0].in_space.any()
-
-
-def test_a_csv_file_has_torques_about_the_centre_of_mass(tmp_path, scene_file):
-    (tmp_path / 'log.csv').write_text('1,-0.0,5e-324,1e-3\n2,0,0,-0.1\n')
-    result = replay(tmp_path / 'log.csv', scene.load(scene_file()))
-    expected = np.array([[-0.0, 5e-324, 1e-3], [0, 0, -0.1]])
-    assert result.problem.logs[0].torques.tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize(('frame_id', 'wrench', 'message'), [

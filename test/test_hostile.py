@@ -168,19 +168,6 @@ def test_what_is_quoted_of_a_scene_is_short(tmp_path, text, message):
     assert re.search(message, found)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize('name', [
-    '\\e[2J', *at_night('torqe_timeu', 'initial_angular_velosyti.')])
-def test_many_keys_of_other_nodes_are_read_in_bounded_time(tmp_path, name):
-    keys = ''.join(f'    "{name}{chr(97 + k % 26) * (k // 26 % 9)}.k{k}": 1\n'
-                   for k in range(9999))
-    with limits():
-        note, = scene.load(scene_file(tmp_path, keys)).notes
-    assert note.endswith(' and 9993 more')
-    assert len(note) < 500
-    assert note.isprintable()
-
-
 # Paths that are not regular files
 
 @pytest.mark.parametrize(('name', 'kind'), [

@@ -39,8 +39,8 @@ def theirs(names, position=(), velocity=(), effort=(), little_endian=True):
 
 
 @pytest.mark.parametrize('little_endian', [True, False])
-@pytest.mark.parametrize('names', [(), ('a',), ('wheel', 'b', 'ünïcode'), WHEELS])
-@pytest.mark.parametrize('which', [(), (0,), (2,), (0, 2), (1, 2), (0, 1, 2)])
+@pytest.mark.parametrize('names', [(), ('a',), ('wheel', 'b', 'ünïcode')])
+@pytest.mark.parametrize('which', [(), (0, 2), (0, 1, 2)])
 def test_we_read_and_write_what_others_do(names, which, little_endian):
     random = np.random.default_rng(len(names))
     lists = [random.normal(size=len(names)) if k in which else [] for k in range(3)]
@@ -72,17 +72,16 @@ def test_a_command_lists_some_of_the_joints_in_any_order():
     (theirs(['rw_x', 'rw_y'], effort=[1.0]), 'effort: expected none or 2, .* found 1'),
     (theirs(['rw_x'], [1.0, 2.0], effort=[1.0]), 'position: expected none or 1, .*found 2'),
     (theirs(['rw_x'], effort=[np.nan]), r'effort: expected finite numbers, found \[nan\]'),
-    (theirs(['rw_x'], effort=[1.0])[:-1], 'expected a sensor_msgs/msg/JointState in CDR'),
-    (theirs(['rw_x'])[:30], 'expected a sensor_msgs/msg/JointState in CDR'),
-    (b'\0\1\0\0' + bytes(12) + b'\xff' * 40, 'expected a sensor_msgs/msg/JointState in CDR'),
-    (b'', 'expected a sensor_msgs/msg/JointState in CDR')])
+    *((data, 'expected a sensor_msgs/msg/JointState in CDR') for data in (
+        b'', theirs(['rw_x'], effort=[1.0])[:-1], theirs(['rw_x'])[:30],
+        b'\0\1\0\0' + bytes(12) + b'\xff' * 40))])
 def test_a_command_that_makes_no_sense_is_refused(data, error):
     with pytest.raises(ValueError, match=error):
         COMMANDS.decode(data)
 
 
-@pytest.mark.parametrize('names', [('a',), WHEELS, ('four', 'wheels', 'of', 'them')])
-@pytest.mark.parametrize('frame', ['', 'x', 'base_link'])
+@pytest.mark.parametrize('names', [('a',), WHEELS])
+@pytest.mark.parametrize('frame', ['', 'base_link'])
 def test_states_have_velocities_and_efforts(names, frame):
     speeds, efforts = np.random.default_rng(1).normal(size=(2, 5, len(names)))
     kind = messages.joint_states(names)

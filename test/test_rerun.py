@@ -70,31 +70,24 @@ def rows_of_check(folder, path):
     return [line.split() for line in lines[header + 2:] if line]
 
 
-def test_rerun_finds_no_fault_in_a_motion(plain, tmp_path):
-    rows = rows_of_check(tmp_path, plain)
-    assert {row[3] for row in rows} >= {'/attitude', '/euler_angles', '/angular_velocity', '/tf',
-                                        '/imu/data', '/marker/body', '/torque'}
-    assert all(row[0] == 'ok' and row[4] == '—' for row in rows)
+TOPICS = '/attitude', '/euler_angles', '/angular_velocity', '/tf', '/imu/data', '/marker/body', \
+    '/torque'
 
 
-def test_rerun_finds_no_fault_in_a_motion_with_rotors(with_rotors, tmp_path):
-    rows = rows_of_check(tmp_path, with_rotors[1])
-    assert '/rotor_momentum' in {row[3] for row in rows}
-    assert all(row[0] == 'ok' and row[4] == '—' for row in rows)
-
-
-def test_rerun_finds_no_fault_in_a_bag(tmp_path):
-    assert main.attitude_replay([TORQUES, '--scene', str(SCENE), '-o', str(tmp_path / 'bag')]) == 0
-    [file] = (tmp_path / 'bag').glob('*.mcap')
-    assert all(row[0] == 'ok' and row[4] == '—' for row in rows_of_check(tmp_path, file))
-
-
-def test_rerun_finds_no_fault_in_residuals(plain, tmp_path):
-    residuals = tmp_path / 'residuals.mcap'
-    assert main.attitude_compare([str(plain), '--scene', str(SCENE), '--measured', '/attitude',
-                                 '-o', str(residuals)]) == 0
-    rows = rows_of_check(tmp_path, residuals)
-    assert '/error/rotation_vector' in {row[3] for row in rows}
+@pytest.mark.parametrize(('name', 'topics'), [
+    ('plain', TOPICS), ('rotors', (*TOPICS, '/rotor_momentum')), ('bag', TOPICS[:3]),
+    ('residuals', ['/error/rotation_vector'])])
+def test_rerun_finds_no_fault(plain, with_rotors, tmp_path, name, topics):
+    path = {'plain': plain, 'rotors': with_rotors[1]}.get(name, tmp_path / f'{name}.mcap')
+    if name == 'bag':
+        bag = tmp_path / 'bag'
+        assert main.attitude_replay([TORQUES, '--scene', str(SCENE), '-o', str(bag)]) == 0
+        path, = bag.glob('*.mcap')
+    elif name == 'residuals':
+        assert main.attitude_compare([str(plain), '--scene', str(SCENE), '--measured',
+                                     '/attitude', '-o', str(path)]) == 0
+    rows = rows_of_check(tmp_path, path)
+    assert {row[3] for row in rows} >= {*topics}
     assert all(row[0] == 'ok' and row[4] == '—' for row in rows)
 
 

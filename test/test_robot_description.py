@@ -27,7 +27,6 @@ import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, scene
-from rigid_body_ros.commands import main
 from rigid_body_ros.live.events import FRAME, NOT_FINITE, RejectedError
 from rigid_body_ros.live.inputs import Inputs
 from rigid_body_ros.mechanics import urdf
@@ -116,15 +115,6 @@ def test_a_robot_without_an_inertia_ends_the_node_with_one_line(domain, paramete
         assert live.process.returncode == 2
         line, = [line for line in live.words().splitlines() if not line.startswith('[')]
     assert line.startswith('attitude_node: error: robot_description: URDF')
-
-
-@pytest.mark.parametrize('argument', [
-    'solver:=rk5', *at_night('Inertia.ixx:=1.0', 'max_step:=-1.0')])
-def test_a_mistake_is_reported_before_the_node_waits(domain, monkeypatch, capfd, argument):
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    assert main.attitude_node(['--ros-args', '-p', argument]) == 2
-    line, = capfd.readouterr().err.splitlines()  # without WAITS
-    assert line.startswith(f'attitude_node: error: {argument.partition(":=")[0]}: ')
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, *at_night(signal.SIGINT)])

@@ -204,7 +204,7 @@ def test_a_file_that_is_missing_is_one_line(tmp_path):
 
 @pytest.mark.slow
 def test_an_inertia_from_text_alone(tmp_path, capsys):
-    truth = measurements.truth()
+    truth = measurements.truth(seconds=5.0)
     sensor = truth.measured(2e-3, 5e-3)
     measurements.write(tmp_path / 'torque.mcap', torque=torque_messages(truth))
     measurements.write_scene(tmp_path / 'scene.yaml', truth)
@@ -213,7 +213,6 @@ def test_an_inertia_from_text_alone(tmp_path, capsys):
                           numbers(sensor.angular_velocity)))
     poses.write_text('\n'.join(f'{seconds(stamp)} 0 0 0 {" ".join(map(repr, q))}' for stamp, q
                                in zip(sensor.stamps_ns.tolist(), sensor.attitude.tolist())))
-    before = gyro.read_bytes()
     arguments = [str(tmp_path / 'torque.mcap'), '--scene', str(tmp_path / 'scene.yaml'),
                  '--measured', str(gyro), '--measured', str(poses), '--estimate',
                  'inertia,start,gyro_bias@gyro.csv']
@@ -223,7 +222,3 @@ def test_an_inertia_from_text_alone(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert 'poses.tum attitude' in shown
     assert 'gyro_bias.x@gyro.csv' in shown
-    linked = tmp_path / 'same.json'
-    linked.symlink_to(gyro)
-    assert main.attitude_identify([*arguments, '--json', str(linked), '--overwrite']) == 2
-    assert gyro.read_bytes() == before
