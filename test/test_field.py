@@ -175,16 +175,6 @@ def test_stamps_of_several_torques_are_accounted_for_by_topic(run, tmp_path, clo
     assert f'{path}: torques: {fault}' in error
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('clock', ['tenths', 'beyond the start'])
-def test_times_of_the_recording_cure_the_stamps(run, tmp_path, clock):
-    _, stamps, *_ = CLOCKS[clock]
-    path = write(tmp_path / 'it.mcap', torque=torque(stamps), it=sensor('Imu', stamps))
-    status, shown, error, found = run('compare', path, '--time-source', 'log')
-    assert (status, error, 'account' in shown) == (0, '', False)
-    is_noise(found, *BOTH)
-
-
 def test_a_single_stamp_is_an_error(run, tmp_path):
     path, _ = measured(tmp_path, 'Imu', ROWS, np.full(COUNT, START_NS))
     assert run('compare', path).error.endswith('at least 4 different stamps, found 1\n')

@@ -477,16 +477,6 @@ def test_two_outputs_never_have_one_name(place, capsys, first, second):
     assert contents(place) == before
 
 
-def test_two_recordings_never_go_to_one_file(place, capsys):
-    Path('out/second.mcap').symlink_to('log.mcap')
-    before = contents(place)
-    assert main.attitude_replay(['in/log.mcap', 'other/second.csv', '--scene', 'in/scene.yaml',
-                                '-o', 'out']) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert 'out/second.mcap: would overwrite the output out/log.mcap' in line
-    assert contents(place) == before
-
-
 @pytest.mark.parametrize('option', OUTPUTS)
 def test_outputs_are_checked_before_anything_is_read(place, capsys, option):
     Path('in/log.mcap').write_text('no recording')

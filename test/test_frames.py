@@ -21,7 +21,7 @@ import bags
 from conftest import CONFIG, EPOCH_NS, ROOT, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import messages, recording, scene, TorqueLog
+from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import urdf
 from rigid_body_ros.replay import replay
@@ -270,15 +270,6 @@ def test_wrenches_that_do_not_fit_in_one_piece_are_converted_in_each(tmp_path, s
     assert replay(path, loaded).last.attitude.tolist() == last.attitude.tolist()
 
 
-def test_interpolation_goes_from_frame_to_frame(tmp_path, scene_file):
-    sent = wrenches(20, ['base_link', 'thruster', 'lamp'])
-    path = bags.FORMS['mcap-zstd'](tmp_path, bags.traffic(sent))
-    result = replay(path, scene.load(scene_file()), interpolation='linear')
-    expected = TorqueLog(sent.stamps_ns, converted(sent).values[:, 3:], interpolation='linear')
-    assert result.problem.logs[0].torques.tobytes() == expected.torques.tobytes()
-    assert not result.problem.logs[0].in_space.any()
-
-
 @pytest.mark.parametrize(('frame_id', 'wrench', 'message'), [
     ('arm', [0, 0, 0, 0, 0, 1],
      "message 2: frame 'arm': joint 'to_arm' (revolute) moves it relative to the body"),
@@ -302,25 +293,6 @@ def test_a_bad_wrench_ends_a_replay_with_one_line(tmp_path, scene_file, capsys, 
     line, = capsys.readouterr().err.splitlines()
     assert line.startswith(f'attitude_replay: error: {path}: /torque: {message}')
     assert sorted(file.name for file in tmp_path.iterdir()) == ['log.mcap', 'scene.yaml']
-
-
-@pytest.mark.parametrize(('frame_id', 'wrench', 'whole'), [
-    ('mast', [np.nan, 0, 0, 0, 0, 1], False), ('mast', [0, 1.7e308, 0, -1.7e308, 0, 0], True),
-    ('thruster', [0, 0, 0, 0, 0, np.inf], False)])
-def test_a_torque_that_is_not_finite_is_skipped_and_counted(tmp_path, scene_file, frame_id, wrench,
-                                                            whole):
-    rows = [('mast', np.ones(6)), (frame_id, wrench), ('base_link', np.ones(6))]
-    for name, kept in (('log', rows), ('good', rows[::2])):
-        with recording.Writer(tmp_path / f'{name}.mcap') as writer:
-            writer.add_topic('/torque', messages.WRENCH)
-            for row in kept:
-                stamp = EPOCH_NS + SECOND * [each is row for each in rows].index(True)
-                writer.write('/torque', stamp, messages.WRENCH.encode(stamp, *row))
-    found, good = (replay(tmp_path / f'{name}.mcap', scene.load(scene_file()), keep=whole)
-                   for name in ('log', 'good'))
-    assert found.last.attitude.tobytes() == good.last.attitude.tobytes()
-    assert (found.account.samples, found.account.rejected, good.account.rejected) == (3, 1, 0)
-    assert '2 of 3 samples are used: 1 rejected' in found.text()
 
 
 def test_a_force_that_has_no_lever_arm_may_be_anything(tmp_path, scene_file):

@@ -474,16 +474,6 @@ def test_a_recorded_motion_is_compared(run, tmp_path, bag, scene, name):
     assert 'expected a model that can restart, found a recorded motion' in error
 
 
-def test_an_input_is_never_an_output(run, bag, scene):
-    for option in ('-o', '--json'):
-        for name in (bag, scene):
-            before = name.read_bytes()
-            status, _, error = run(option, name, '--overwrite')
-            assert status == 2
-            assert 'would overwrite' in error or 'expected' in error
-            assert name.read_bytes() == before
-
-
 def shifted(sensor, count, shift_ns):
     few = sensor.rows(np.arange(count))
     return replace(few, stamps_ns=few.stamps_ns + shift_ns)

@@ -219,15 +219,6 @@ def test_an_empty_name_is_no_folder():
         recording.read('')
 
 
-def test_a_failure_leaves_no_file_and_keeps_the_old_one(tmp_path, recorded):
-    before = recorded.read_bytes()
-    with pytest.raises(RuntimeError), recording.Writer(recorded) as writer:
-        writer.add_topic('/torque', messages.WRENCH)
-        raise RuntimeError
-    assert recorded.read_bytes() == before
-    assert [path.name for path in tmp_path.iterdir()] == ['torque.mcap']
-
-
 @pytest.mark.parametrize('count', [1, 10_000])
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, count):
     # The damage is at the end, or somewhere before.

@@ -231,15 +231,6 @@ def test_fixed_links_have_the_inertia_of_all_their_point_masses(seed):
                                    rtol=0, atol=2e-14)
 
 
-def test_a_battery_has_the_lever_arm_of_its_joint():
-    url = robots.robot(fixed('base', 'battery', (0.0, 0.5, 0.0)), body='base',
-                       inertials={'base': part(1.0, 0.25), 'battery': part(1.0, 0.25)})
-    assert np.diag(RigidBody.from_urdf(url).inertia).tolist() == [0.625, 0.5, 0.625]
-    frames = urdf.fixed_frames(url)
-    assert frames['base'].position.tolist() == [0.0, -0.25, 0.0]
-    assert frames['battery'].torque([0.0, 0.0, 2.0], [0.0, 0.0, 0.0]).tolist() == [0.5, 0.0, 0.0]
-
-
 def test_a_far_origin_costs_no_digits():
     far = (1e9, -1e9, 1e9)
     url = robots.robot(fixed('map', 'a', far), fixed('a', 'b', (0.5, 0.0, 0.0)), body='map',
