@@ -234,7 +234,8 @@ under `rejected: CAUSE`.
 ## Parameters
 
 The node and all commands read these parameters from [the scene file](scene.md). All except
-`publish_rate` are read-only while the node runs. Times, speeds and variances are at most 1e9.
+`publish_rate` are read-only while the node runs. In parentheses are default, unit and limits or
+other values. Times, speeds and variances are at most 1e9.
 
 {parameters}
 
@@ -319,7 +320,7 @@ def nodes():
         published=topics(PUBLISHED), optional=topics(OPTIONAL),
         causes='\n'.join(wrapped(f'- `{cause}`: {meaning}', 2)
                          for cause, meaning in CAUSES.items()),
-        parameters=table(('parameter', 'default; other values', 'meaning'), parameters()))
+        parameters='\n'.join(parameters()))
 
 
 def commands():
@@ -365,28 +366,26 @@ def wrapped(text, indent=0):
 
 def parameters():
     """
-    Return the rows of all parameters; those of a field or wheel follow the one with its name.
+    Return a line for each parameter; those of a field or wheel follow the one with its name.
 
-    The components of a vector or tensor share a row if they share their meaning.
+    The components of a vector or tensor share a line if they share their meaning.
     """
     named = {key: of_names(key, ['NAME']) for key in NAMED}
     listed = [one for parameter in scene.PARAMETERS.values() for one in (
         parameter, *named.get(parameter.name, {}).values())]
-    return [row_of([*group]) for _, group in itertools.groupby(
+    return [line_of([*group]) for _, group in itertools.groupby(
         listed, lambda one: (one.name.rpartition('.')[0], one.description, one.interval))]
 
 
-def row_of(group):
-    """Return the row of parameters that share a meaning."""
+def line_of(group):
+    """Return the line of parameters that share a meaning."""
     first, *others = (parameter.name for parameter in group)
     names = [first, *(name[name.rindex('.'):] for name in others)]
     defaults = [default(parameter) for parameter in group]
     if len({*defaults}) == 1:
         defaults = defaults[:1]
-    given = f'{" ".join(defaults)} {group[0].unit}'.strip()
-    others = values(group[0])
-    return (', '.join(f'`{name}`' for name in names), f'{given}; {others}' if others else given,
-            group[0].description)
+    given = [f'{" ".join(defaults)} {group[0].unit}'.strip(), *filter(None, [values(group[0])])]
+    return wrapped(f'- `{", ".join(names)}` ({"; ".join(given)}): {group[0].description}', 2)
 
 
 def topics(listed):
@@ -410,7 +409,7 @@ def argument(action):
 def default(parameter):
     """Return the default of a parameter as it is written in YAML."""
     if parameter.default is None:
-        return 'none,'
+        return 'no default,'
     if isinstance(parameter.default, bool):
         return str(parameter.default).lower()
     if isinstance(parameter.default, list):
