@@ -46,14 +46,15 @@ class Session(LiveSession):
 
     Attributes
     ----------
-    kind : type
-        The class of the node.
+    kind, executor : callable
+        Called with a context to create the node, and the executor.
     tested : rclpy.node.Node
         The node.
 
     """
 
     kind = AttitudeNode
+    executor = staticmethod(executor_of)
     pause = 0.005
 
     def _start(self):
@@ -66,19 +67,17 @@ class Session(LiveSession):
         try:
             self._create()
         except BaseException:
-            self._restore_stderr()
+            self.tested = None
+            super().__exit__(None, None, None)
             raise
 
     def _create(self):
-        self._executor = executor_of(self._context)
+        self._executor = self.executor(self._context)
         self.tested = self.kind(context=self._context)
         self._executor.add_node(self.tested)
 
     def _end(self, kind):
         self._destroy()
-        self._restore_stderr()
-
-    def _restore_stderr(self):
         os.dup2(self._stderr_before, 2)
         os.close(self._stderr_before)
 

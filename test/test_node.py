@@ -208,12 +208,13 @@ def test_wrenches_of_links_act_live_as_in_a_replay(tmp_path, domain):
             live.publish_bytes(messages.WRENCH.encode(
                 int(stamps[-1]), frame_id, [force, 0.0, 0.0, 0.0, 0.0, 1.0]))
         live.wait_for_torques(305)
-        counts, _, _ = live.diagnosis('torques')
+        counts, _, text = live.diagnosis('torques')
         run, words = finished(tmp_path, live), live.words()
     assert [counts[name] for name in ('applied', 'rejected: unknown frame',
                                       'rejected: not finite')] == [300, 4, 1]
     in_space = np.array(sent.frame_ids) == 'world'
     assert counts['force ignored'] == np.count_nonzero(sent.values[in_space, 0])
+    assert 'force' not in text
     line, = (line for line in words.splitlines() if 'the force of a WrenchStamped is ignored, as '
              'it has no lever arm' in line)
     assert line.startswith('[INFO]')
