@@ -54,10 +54,9 @@ NEEDS = {
     'pyarrow': ['cluster', 'dispersions', 'ensemble', 'ensemble_folder', 'ensemble_loop',
                 'ensemble_results', 'fitted', 'identify_command'],
     'zarr': ['cluster', 'ensemble', 'ensemble_folder', 'ensemble_loop', 'ensemble_results'],
-    'rclpy': ['sources', 'workspace', *(
+    'rclpy': ['sources', *(
         path.stem.removeprefix('test_') for path in sorted(Path(__file__).parent.glob('test_*.py'))
         if re.search('^pytestmark.*mark.ros', path.read_text(encoding='utf-8'), re.MULTILINE))],
-    'colcon_ros': ['workspace'],
     'mpmath': ['actuators', 'arm', 'changes', 'elementary', 'elliptic', 'examples', 'extremes',
                'fields', 'free_motion', 'laws', 'peers', 'reference', 'rods', 'sensitivity',
                'sources', 'steppers', 'tensor', 'terms', 'tradeoff', 'truth', 'validation',
