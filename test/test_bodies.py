@@ -20,7 +20,7 @@ from rigid_body_ros import RigidBodies, RigidBody
 from rigid_body_ros.kernels import body_layout, tensors
 from rigid_body_ros.kernels import tensor as exact
 
-COUNT = 100
+COUNT = 40
 RANDOM = np.random.default_rng(31)
 
 

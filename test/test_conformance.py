@@ -58,9 +58,13 @@ def test_decimal_and_hexadecimal_inputs_are_the_same_doubles(path):
     assert doubles(motion['inputs']) == doubles(motion['inputs_in_hexadecimal'])
 
 
+@pytest.fixture(scope='module')
+def results(tmp_path_factory):
+    return adapted('run_rigid_body_ros', tmp_path_factory.mktemp('results'))
+
+
 @pytest.mark.slow
-def test_this_package_computes_all_motions_to_rounding(tmp_path):
-    results = adapted('run_rigid_body_ros', tmp_path)
+def test_this_package_computes_all_motions_to_rounding(results):
     checked = check(results, '--within', '2e-13')
     assert checked.returncode == 0, checked.stdout
     rows = [line.split(' | ') for line in checked.stdout.splitlines()[2:]]
@@ -71,20 +75,19 @@ def test_this_package_computes_all_motions_to_rounding(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_checker_finds_a_wrong_attitude_and_a_missing_time(tmp_path):
-    results = adapted('run_rigid_body_ros', tmp_path)
-    path = results / 'sphere.csv'
-    lines = path.read_text().splitlines()
+def test_the_checker_finds_a_wrong_attitude_and_a_missing_time(results, tmp_path):
+    path = tmp_path / 'sphere.csv'
+    lines = (results / 'sphere.csv').read_text().splitlines()
     time_ns, x, y, z, w, *rates = lines[4].split(',')
     turned = [float(x) + 5e-10 * float(w), float(y) + 5e-10 * float(z),
               float(z) - 5e-10 * float(y), float(w) - 5e-10 * float(x)]  # by 1e-9 rad about x
     path.write_text('\n'.join([*lines[:4], ','.join([time_ns, *map(repr, turned), *rates]),
                                *lines[5:]]))
-    checked = check(results, '--within', '1e-10')
+    checked = check(tmp_path, '--within', '1e-10')
     assert checked.returncode == 1
     assert '| sphere | 1.0e-09 |' in checked.stdout
     path.write_text('\n'.join(lines[1:]))
-    checked = check(results)
+    checked = check(tmp_path)
     assert checked.returncode == 2
     assert checked.stderr == (f'{path}: expected a line with the time {lines[0].split(",")[0]} '
                               'ns, found none\n')

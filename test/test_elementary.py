@@ -142,15 +142,15 @@ def test_logarithm_is_correctly_rounded():
     logarithm = elementary.log10
     exact = [10.0 ** k for k in range(23)]
     assert [logarithm(x) for x in exact] == [*range(23)]
-    for x in [*(10.0 ** RANDOM.uniform(0, 15, 500)), *RANDOM.uniform(0.5, 2.0, 500),
-              *(10.0 ** RANDOM.uniform(-307, 308, 200))]:
+    for x in [*(10.0 ** RANDOM.uniform(0, 15, 200)), *RANDOM.uniform(0.5, 2.0, 200),
+              *(10.0 ** RANDOM.uniform(-307, 308, 100))]:
         assert logarithm(x) == float(mpmath.log10(mpf(x)))
 
 
 @pytest.mark.slow
 def test_hyperbolic_tangent_and_secant_are_correctly_rounded():
     tanh_sech = elementary.tanh_sech
-    for x in [*RANDOM.uniform(-25, 25, 500), *(10.0 ** RANDOM.uniform(-9, 2.78, 500))]:
+    for x in [*RANDOM.uniform(-25, 25, 200), *(10.0 ** RANDOM.uniform(-9, 2.78, 200))]:
         assert tanh_sech(x) == (float(mpmath.tanh(mpf(x))), float(mpmath.sech(mpf(x))))
     assert [tanh_sech(x) for x in (-0.0, 1e-300, 800.0, -math.inf)] == [
         (0.0, 1.0), (1e-300, 1.0), (1.0, 0.0), (-1.0, 0.0)]
@@ -169,13 +169,13 @@ def test_exponentials_are_correctly_rounded():
 @pytest.mark.slow
 def test_the_careful_evaluations_have_a_hundred_bits_and_the_quick_ones_their_bounds():
     careful, quick = elementary._careful_sine_cosine, elementary.sine_cosine_pairs
-    for angle in angles(400):
+    for angle in angles(120):
         exact = mpmath.sin(mpf(angle)), mpmath.cos(mpf(angle))
         for function, error in ((careful, 1e-31), (quick, elementary._SINE_ERROR)):
             for pair, right in zip(function(angle), exact):
                 assert abs(joined(pair) / right - 1) < error
     careful, quick = elementary._careful_arctangent, elementary._quick_arctangent
-    for ratio in [*RANDOM.uniform(0, 1, 300), *(10.0 ** RANDOM.uniform(-9, 0, 100))]:
+    for ratio in [*RANDOM.uniform(0, 1, 100), *(10.0 ** RANDOM.uniform(-9, 0, 40))]:
         right = mpmath.atan(mpf(ratio))
         for function, error in ((careful, 1e-31), (quick, elementary._ANGLE_ERROR)):
             assert abs(joined(function((ratio, 0.0), (1.0, 0.0))) / right - 1) < error
@@ -184,18 +184,19 @@ def test_the_careful_evaluations_have_a_hundred_bits_and_the_quick_ones_their_bo
 @pytest.mark.slow
 def test_arctangent_of_pairs_has_65_bits():
     arctangent = elementary.arctangent_pair
-    for y, x in points(400).T:
+    for y, x in points(120).T:
         pairs = [(value, value * ULP * RANDOM.uniform(-0.5, 0.5)) for value in (y, x)]
         right = mpmath.atan2(*map(joined, pairs))
         assert abs(joined(arctangent(*pairs)) / right - 1) < elementary._ANGLE_ERROR
 
 
-@pytest.mark.parametrize('x', [-math.inf, math.inf, math.nan])
-def test_sines_of_infinity_and_nan_are_nan(x):
-    assert np.isnan(arrays.sines_cosines(x)).all()
-
-
-def test_tiny_angles_are_their_own_sines():
+def test_sines_are_odd_nan_at_infinity_and_those_of_tiny_angles_are_the_angles():
+    given = angles(500)
+    np.testing.assert_array_equal(arrays.sines_cosines(-given)[0],
+                                  -arrays.sines_cosines(given)[0])
+    np.testing.assert_array_equal(arrays.arctangents(-given, 1.0),
+                                  -arrays.arctangents(given, 1.0))
+    assert np.isnan(arrays.sines_cosines([-math.inf, math.inf, math.nan])).all()
     tiny = np.array([0.0, -0.0, 5e-324, -1e-310, 1e-200, 2.0 ** -28])
     sines, cosines = arrays.sines_cosines(tiny)
     np.testing.assert_array_equal(sines, tiny)
@@ -219,14 +220,6 @@ def test_a_subnormal_arctangent_rounds_down_half_way_between_doubles():
         arrays.arctangents([3 * least, 5 * least, -7 * least, 3 * least],
                            [2.0, 2.0, 2.0, 1.9]),
         [least, 2 * least, -3 * least, 2 * least])
-
-
-def test_sines_and_arctangents_are_odd():
-    given = angles(500)
-    np.testing.assert_array_equal(arrays.sines_cosines(-given)[0],
-                                  -arrays.sines_cosines(given)[0])
-    np.testing.assert_array_equal(arrays.arctangents(-given, 1.0),
-                                  -arrays.arctangents(given, 1.0))
 
 
 def test_tables_hold_32_digits():

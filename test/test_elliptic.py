@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures('fifty_digits')
 
 RANDOM = np.random.default_rng(17)
 #: Complementary parameters, from far away from the separatrix to where `free_motion` gives up.
-COMPLEMENTS = [*(10.0 ** RANDOM.uniform(-24, 0, 60)), 1.0, 0.5, 1e-10, 1e-24]
+COMPLEMENTS = [*(10.0 ** RANDOM.uniform(-24, 0, 20)), 1.0, 0.5, 1e-10, 1e-24]
 
 
 def split(value):
@@ -42,7 +42,7 @@ def joined(pair):
     ('multiply', lambda a, b: a * b), ('divide', lambda a, b: a / b)])
 def test_arithmetic_has_thirty_digits(name, exact):
     operation = getattr(dd, name)
-    for _ in range(200):
+    for _ in range(60):
         a, b = (mpf(float(x)) * (1 + mpf(float(y)) * mpf(2) ** -53)
                 for x, y in zip(RANDOM.normal(size=2) * 10.0 ** RANDOM.uniform(-20, 20, 2),
                                 RANDOM.uniform(-1, 1, 2)))
@@ -76,6 +76,9 @@ def test_complete_integrals_have_thirty_digits():
 
 @pytest.mark.slow
 def test_jacobis_functions_keep_their_digits_up_to_the_separatrix():
+    # There, they are hyperbolic.
+    np.testing.assert_allclose(elliptic.jacobi(3.0, 0.0), [np.tanh(3.0), *[1 / np.cosh(3.0)] * 2],
+                               rtol=1e-15)
     for complement in COMPLEMENTS:
         quarter = float(mpmath.ellipk(1 - mpf(complement)))
         for u in quarter * np.array([0.0, 1e-9, 0.3, -0.7, 0.99, -1 + 1e-9, 1.0]):
@@ -91,15 +94,9 @@ def test_jacobis_functions_keep_their_digits_up_to_the_separatrix():
 
 
 @pytest.mark.slow
-def test_jacobis_functions_on_the_separatrix_are_hyperbolic():
-    sn, cn, dn = elliptic.jacobi(3.0, 0.0)
-    np.testing.assert_allclose([sn, cn, dn], [np.tanh(3.0), *[1 / np.cosh(3.0)] * 2], rtol=1e-15)
-
-
-@pytest.mark.slow
 def test_carlsons_integrals_are_scipys():
     first, third = elliptic.carlson_f, elliptic.carlson_j
-    for _ in range(200):
+    for _ in range(60):
         x = 10.0 ** RANDOM.uniform(-30, 0)
         y, p = min(1.0, x + 10.0 ** RANDOM.uniform(-30, 0)), 1.0 + 10.0 ** RANDOM.uniform(-20, 0)
         np.testing.assert_allclose(first(x, y, 1.0), special.elliprf(x, y, 1.0), rtol=2e-15)
