@@ -12,13 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-Known motions under fields: closed forms, conserved quantities, and magnification of errors.
-
-The closed forms are those of Whittaker, "A treatise on the analytical dynamics of particles and
-rigid bodies", 1937: the pendulum in section 44, the top in sections 71 and 72. They share no code
-with the series.
-"""
+"""Motions under fields: conserved quantities, and magnification of errors."""
 
 from typing import NamedTuple
 
@@ -26,7 +20,6 @@ from mpmath import mp
 import numpy as np
 from rigid_body_ros import GravityGradient, Problem, RigidBody, State, UniformField
 from rigid_body_ros.mechanics import so3
-import terms
 from terms import SECOND
 import truth
 
@@ -35,7 +28,7 @@ import truth
 _CHANGE = 1e-11
 
 
-def magnification(run, start, times_ns, coordinates=range(6)):
+def magnification(run, start, times_ns):
     """
     Return by how much a motion magnifies a change of its start, at least 1, by time, shape (m,).
 
@@ -52,13 +45,11 @@ def magnification(run, start, times_ns, coordinates=range(6)):
         The start that is changed.
     times_ns : array of int, shape (m,)
         The times of the result.
-    coordinates : sequence of int
-        The coordinates to change: 0, 1, 2 are rotations about the axes, and 3, 4, 5 are rates.
 
     """
     speed = np.linalg.norm(run(start, times_ns).angular_velocity, axis=1).max()
     columns = []
-    for change in _CHANGE * np.eye(6)[list(coordinates)]:
+    for change in _CHANGE * np.eye(6):
         one, other = (run(_moved(start, sign * change, speed), times_ns) for sign in (1.0, -1.0))
         turned = so3.log(so3.multiply(so3.conjugate(other.attitude), one.attitude))
         rates = (one.angular_velocity - other.angular_velocity) / speed
@@ -69,179 +60,6 @@ def magnification(run, start, times_ns, coordinates=range(6)):
 def _moved(start, change, speed):
     return State(start.time_ns, so3.multiply(start.attitude, so3.exp(change[:3])),
                  start.angular_velocity + speed * change[3:], start.rotor_momentum)
-
-
-def bound(problem, times_ns):
-    """Return `terms.bound` of a motion at times, shape (m,)."""
-    fine = np.union1d(times_ns, np.linspace(
-        problem.start.time_ns, times_ns[-1], 20_001).astype(np.int64))
-    return terms.bound(problem.propagate(at=fine))[np.searchsorted(fine, times_ns)]
-
-
-def errors(motion, expected):
-    """
-    Return the errors of a motion against [(attitude, rates)] in mpmath numbers, by time.
-
-    The results are angles, rad, and errors of the rates relative to the largest rate, each of
-    shape (m,).
-    """
-    attitude = np.array([truth.chord(q, found) for (q, _), found in zip(
-        expected, motion.attitude)])
-    apart = np.array([w - found for (_, w), found in zip(expected, motion.angular_velocity)])
-    speed = np.linalg.norm(motion.angular_velocity, axis=1).max()
-    return attitude, np.linalg.norm(apart.astype(float), axis=1) / speed
-
-
-def plane_pendulum(problem, times_ns):
-    """
-    Return the motion about the body's x axis under one uniform field as [(attitude, rates)].
-
-    The x axis is principal and starts along space x; moment and field have no x component.
-    """
-    one, = problem.fields
-    (_, my, mz), (_, fy, fz) = truth.exact(one.moment), truth.exact(one.field)
-    x, _, _, w = truth.exact(problem.start.attitude)
-    turned, rate = 2 * mp.atan2(x, w), mp.mpf(problem.start.angular_velocity[0])
-    square = (mp.sqrt((my * my + mz * mz) * (fy * fy + fz * fz))
-              / mp.mpf(problem.body.inertia[0, 0]))
-    # The angle between moment and field, which is zero at the bottom.
-    ahead = mp.atan2(mz, my) - mp.atan2(fz, fy)
-    start = mp.atan2(mp.sin(turned + ahead), mp.cos(turned + ahead))
-    found = []
-    for angle, speed in _pendulum(start, rate, mp.sqrt(square), times_ns):
-        half = (turned + angle - start) / 2
-        found.append((np.array([mp.sin(half), mp.zero, mp.zero, mp.cos(half)]),
-                      np.array([speed, mp.zero, mp.zero])))
-    return found
-
-
-def _pendulum(angle, rate, small, times_ns):
-    # Yield angle and rate, given the rate of small swings. The pendulum swings, or goes round.
-    half, k = mp.sin(angle / 2), mp.sqrt(mp.sin(angle / 2) ** 2 + (rate / small) ** 2 / 4)
-    for time_ns in times_ns:
-        t = mp.mpf(int(time_ns)) / SECOND
-        if k < 1:
-            amplitude = mp.atan2(half / k, rate / (2 * k * small))
-            u = small * t + mp.ellipf(amplitude, k * k)
-            yield (2 * mp.asin(k * mp.ellipfun('sn', u, m=k * k)),
-                   2 * k * small * mp.ellipfun('cn', u, m=k * k))
-            continue
-        m, sign = 1 / (k * k), mp.sign(rate)
-        u, period = sign * k * small * t + mp.ellipf(angle / 2, m), 2 * mp.ellipk(m)
-        halves = int(mp.nint(u / period))
-        rest = u - halves * period
-        yield (2 * (halves * mp.pi + mp.asin(mp.ellipfun('sn', rest, m=m))),
-               2 * sign * k * small * mp.ellipfun('dn', rest, m=m))
-
-
-def lagrange_top(problem, times_ns):
-    """
-    Return the motion of a symmetric top under its weight as [(attitude, rates)].
-
-    The field lies along the z axis of space, the moment along the axis of symmetry, the body's z
-    axis, and neither is zero; the motion is neither vertical nor a steady precession.
-    """
-    one, = problem.fields
-    weight = -mp.mpf(one.moment[2]) * mp.mpf(one.field[2])
-    across, _, along = truth.exact(np.diag(problem.body.inertia))
-    q, w = truth.exact(problem.start.attitude), truth.exact(problem.start.angular_velocity)
-    q = q / mp.sqrt(q @ q)
-    vertical = truth.rotate(np.append(-q[:3], q[3]), truth.exact([0, 0, 1]))  # body axes
-    spin = along * w[2]
-    momentum = across * (vertical[:2] @ w[:2]) + vertical[2] * spin
-    energy = across * (w[:2] @ w[:2]) / 2 + weight * vertical[2]
-    ratio = 2 / across
-    nutation = _Nutation(
-        (ratio * weight, -ratio * energy - (spin / across) ** 2,
-         2 * momentum * spin / across ** 2 - ratio * weight,
-         ratio * energy - (momentum / across) ** 2),
-        vertical[2], vertical[0] * w[1] - vertical[1] * w[0])
-
-    def precession(t):
-        u = nutation.height(t)
-        return (momentum - spin * u) / (across * (1 - u * u))
-
-    phi, psi = _first_and_last(q)
-    found, before = [], mp.zero
-    for time_ns in times_ns:
-        t = mp.mpf(int(time_ns)) / SECOND
-        # The integrals of phi' and of phi' cos(theta), as one complex number.
-        both = nutation.integral(
-            lambda s: precession(s) * mp.mpc(1, nutation.height(s)), before, t)
-        phi, psi = phi + both.real, psi + w[2] * (t - before) - both.imag
-        found.append(_state_of_top(phi, psi, nutation, precession(t), w[2], t))
-        before = t
-    return found
-
-
-class _Nutation:
-    """The height u = cos(theta) of a top by time, s; the square of its rate is a cubic in u."""
-
-    def __init__(self, cubic, height, slope):
-        """Take the coefficients, highest power first, and the height and its rate at the start."""
-        self._low, self._high, outside = sorted(_real_roots(*cubic), reverse=cubic[0] < 0)
-        self._m = (self._high - self._low) / (outside - self._low)
-        self._rate = mp.sqrt(cubic[0] * (outside - self._low)) / 2
-        amplitude = mp.asin(mp.sqrt((height - self._low) / (self._high - self._low)))
-        self._begin = mp.ellipf(amplitude, self._m)
-        if slope * (self._high - self._low) < 0:
-            self._begin = -self._begin
-
-    def height(self, t):
-        sn, = self._functions(t, 'sn')
-        return self._low + (self._high - self._low) * sn * sn
-
-    def slope(self, t):
-        """Return the rate of the height at a time."""
-        return 2 * (self._high - self._low) * self._rate * mp.fprod(
-            self._functions(t, 'sn', 'cn', 'dn'))
-
-    def integral(self, function, begin, end):
-        """Return the integral over times of a function of the height."""
-        period = 2 * mp.ellipk(self._m) / self._rate
-        count = int((end - begin) / period)
-        last = begin + count * period
-        pieces = [self._quadrature(function, last, end, period)]
-        if count:
-            pieces.append(count * self._quadrature(function, begin, begin + period, period))
-        return sum(pieces)
-
-    def _functions(self, t, *names):
-        return [mp.ellipfun(name, self._rate * t + self._begin, m=self._m) for name in names]
-
-    @staticmethod
-    def _quadrature(function, begin, end, period):
-        pieces = mp.linspace(begin, end, 2 + int(4 * (end - begin) / period))
-        return mp.quad(function, pieces, method='gauss-legendre')
-
-
-def _real_roots(a, b, c, d):
-    # Return the roots of a x^3 + b x^2 + c x + d, which are all real, by Viete's formula.
-    shift = b / (3 * a)
-    p, q = c / a - 3 * shift ** 2, 2 * shift ** 3 - shift * c / a + d / a
-    size = mp.sqrt(-p / 3)
-    angle = mp.acos(-q / (2 * size ** 3))
-    return [2 * size * mp.cos((angle + 2 * k * mp.pi) / 3) - shift for k in range(3)]
-
-
-def _state_of_top(phi, psi, nutation, precession, spin, t):
-    # Return attitude and rates from the Euler angles 3-1-3 and their rates.
-    theta = mp.acos(nutation.height(t))
-    half, most, least = theta / 2, (phi + psi) / 2, (phi - psi) / 2
-    attitude = np.array([mp.sin(half) * mp.cos(least), mp.sin(half) * mp.sin(least),
-                         mp.cos(half) * mp.sin(most), mp.cos(half) * mp.cos(most)])
-    sine = mp.sin(theta)
-    nods = -nutation.slope(t) / sine
-    return attitude, np.array([
-        precession * sine * mp.sin(psi) + nods * mp.cos(psi),
-        precession * sine * mp.cos(psi) - nods * mp.sin(psi), spin])
-
-
-def _first_and_last(q):
-    # Return the Euler angles phi and psi, 3-1-3, of a quaternion, from their half sum and half
-    # difference.
-    most, least = mp.atan2(q[2], q[3]), mp.atan2(q[1], q[0])
-    return most + least, most - least
 
 
 class Conserved(NamedTuple):

@@ -115,7 +115,7 @@ def test_gradients_of_a_long_motion_have_the_digits_of_short_ones(damping, rates
                     wheels=wheels)
     found = jacobian(given, {'torques': log.torques}, end)['torques']
     motion = given.propagate(at=[*stamps, end])
-    for k in (0, 250, 500, 750, 998):
+    for k in (0, 500, 998):
         before, after = (given.replaced(start=State(
             int(motion.times_ns[j]), motion.attitude[j], motion.angular_velocity[j],
             motion.rotor_momentum[j])) for j in (k, k + 1))
@@ -125,13 +125,21 @@ def test_gradients_of_a_long_motion_have_the_digits_of_short_ones(damping, rates
         assert np.abs(found[:, k] - known).max() < 1e-10 * np.abs(known).max()
 
 
-def test_gradients_have_the_leading_axes_of_what_they_are_of():
+def test_gradients_have_the_axes_of_what_they_are_of_and_the_symmetries_of_the_inputs():
     given = problem()
     _, pull = autodiff.vjp(given, {**INPUTS, 'torques': given.logs[0].torques}, at=AT)
     many = pulls(len(AT), 2, 3)
     whole, one = pull(*many), pull(*(values[1, 2] for values in many))
     for name in whole:
         np.testing.assert_allclose(whole[name][1, 2], one[name], rtol=1e-12, atol=1e-14)
+    for name in ('inertia', 'damping'):
+        assert np.array_equal(one[name], one[name].T)
+    assert abs(one['attitude'] @ INPUTS['attitude']) < 1e-14 * np.abs(one['attitude']).sum()
+    given = with_named_wheels()
+    inputs = {'inertia': FULL, 'attitude': given.start.attitude, 'torques': given.logs[0].torques}
+    for some in ({}, inputs):
+        motion, _ = autodiff.vjp(given, some, at=AT)
+        assert np.array_equal(motion.attitude, given.propagate(at=AT).attitude)
 
 
 def test_torques_that_do_not_act_and_no_times_have_no_gradients():
@@ -143,22 +151,6 @@ def test_torques_that_do_not_act_and_no_times_have_no_gradients():
     for at in ([], [given.start.time_ns]):
         _, pull = autodiff.vjp(given, {'torques': given.logs[0].torques}, at=at)
         assert not pull(*pulls(len(at)))['torques'].any()
-
-
-def test_a_tensor_has_a_symmetric_gradient_and_a_quaternion_an_orthogonal_one():
-    _, pull = autodiff.vjp(problem(), INPUTS, at=AT)
-    found = pull(*pulls(len(AT)))
-    for name in ('inertia', 'damping'):
-        assert np.array_equal(found[name], found[name].T)
-    assert abs(found['attitude'] @ INPUTS['attitude']) < 1e-14 * np.abs(found['attitude']).sum()
-
-
-def test_the_inputs_of_the_problem_give_its_motion():
-    given = with_named_wheels()
-    inputs = {'inertia': FULL, 'attitude': given.start.attitude, 'torques': given.logs[0].torques}
-    for some in ({}, inputs):
-        motion, _ = autodiff.vjp(given, some, at=AT)
-        assert np.array_equal(motion.attitude, given.propagate(at=AT).attitude)
 
 
 HELD = TorqueLog([0], [[0.0, 0.1, 0.0]])
@@ -184,9 +176,8 @@ def test_what_cannot_be_an_input_is_named(log, options, inputs, expected):
 def test_neither_library_is_imported_before_it_is_used():
     script = ('import sys, rigid_body_ros.autodiff; '
               "print([name for name in ('jax', 'torch') if name in sys.modules])")
-    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
-                            check=True)
-    assert result.stdout.strip() == '[]'
+    assert subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                          check=True).stdout == '[]\n'
 
 
 @pytest.fixture
@@ -220,6 +211,9 @@ def test_torch_has_these_gradients(torch, of_numpy):
     (attitude.sum() + rate.sum()).backward()
     for name in known:
         assert np.array_equal(tensors[name].grad.numpy(), known[name])
+    with pytest.raises(ValueError, match='^attitude: expected a tensor of torch.float64, found '
+                                         'torch.float32$'):
+        autodiff.torch_motion(problem(), at=AT)({'attitude': torch.ones(4)})
 
 
 @pytest.mark.slow
@@ -234,13 +228,6 @@ def test_torch_finds_the_gradients_right(torch):
                                    for name in ('inertia', 'damping')}})
     tensors = [torch.tensor(np.array(values), requires_grad=True) for values in inputs.values()]
     assert torch.autograd.gradcheck(outputs, tensors, eps=1e-5, atol=1e-8, rtol=1e-7)
-
-
-@pytest.mark.slow
-def test_torch_needs_tensors_of_64_bits(torch):
-    with pytest.raises(ValueError, match='^attitude: expected a tensor of torch.float64, found '
-                                         'torch.float32$'):
-        autodiff.torch_motion(problem(), at=AT)({'attitude': torch.ones(4)})
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from known import escape, KNOWN
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
-from rigid_body_ros.mechanics import euler, so3
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem, SOLVERS
 from rigid_body_ros.tradeoff.problem import Case, Reference
 from scenes import FIXED_STEP, FULL, FULL_RATES, SCENES
@@ -170,23 +170,6 @@ def test_the_unit_of_inertia_does_not_matter(power, solver):
                          TorqueLog([0, 5 * SECOND], scale * np.array([[0.2, -0.1, 0.3], [0] * 3])),
                          at=times, solver=solver, max_step=0.01)
     assert chord(moved(1.0).attitude, moved(2.0 ** power).attitude).max() < 2e-15
-
-
-@pytest.mark.parametrize('solver', SOLVERS)
-@pytest.mark.parametrize('theta', [0.0, np.pi])
-def test_euler_angles_through_their_singularities(theta, solver):
-    # Theta runs through 0 and pi while phi or psi jumps by pi: neither affects the attitude.
-    body, rates = RigidBody.from_moments(1.0, 2.0, 2.5), (1.0, 0.0, 0.0)
-    near = round(theta * 1e9) + np.arange(-5, 6)
-    times = near[near >= 0]
-    motion = propagate(body, State(0, angular_velocity=rates), at=times, solver=solver,
-                       max_step=1e-4 if solver in FIXED_STEP else None)
-    for sequence in ('ZXZ', 'zxz', 'XYX'):
-        angles = motion.euler_angles(sequence)
-        assert np.isfinite(angles).all()
-        back = euler.to_quaternion(angles, sequence)
-        assert so3.angle_between(back, motion.attitude).max() < 2e-15
-    assert motion.degenerate().all()
 
 
 def test_the_page_has_every_scene_in_a_family():

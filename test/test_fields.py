@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Torques that depend on the attitude: closed forms, conserved quantities, and directions."""
+"""Torques that depend on the attitude: known motions, conserved quantities, and directions."""
 
 import os
 import subprocess
@@ -39,44 +39,6 @@ FIELDS = [WEIGHT, ORBIT, DIPOLE]
 
 
 # Closed forms
-
-
-def about_x(angle):
-    return np.sin(angle / 2), 0.0, 0.0, np.cos(angle / 2)
-
-
-@pytest.mark.parametrize(('angle', 'rate', 'near_the_top'), [
-    (0.3, 0.1, False), (2.5, -0.5, True), (1.0, -3.0, False), (0.2, 20.0, False),
-    (3.0, 1e-3, True)])
-def test_a_plane_pendulum_swings_and_goes_round(angle, rate, near_the_top, fifty_digits):
-    # Two of these motions come near the top, where they magnify a change of their start.
-    body = RigidBody([[1.5, 0.0, 0.0], [0.0, 2.0, 0.3], [0.0, 0.3, 2.5]])
-    problem = Problem(body, State(0, about_x(angle), (rate, 0.0, 0.0)),
-                      fields=[UniformField((0.0, 0.1, -0.3), (0.0, 3.0, -9.0))])
-    times_ns = np.array([1, 7, 20, 60]) * SECOND
-    limits = fields.bound(problem, times_ns)
-    if near_the_top:
-        limits = limits * fields.magnification(
-            lambda start, at: problem.replaced(start=start).propagate(at=at), problem.start,
-            times_ns, coordinates=(0, 3))
-    expected = fields.plane_pendulum(problem, times_ns)
-    for error in fields.errors(problem.propagate(at=times_ns), expected):
-        assert np.all(error <= limits)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(('moment', 'attitude', 'rates'), [
-    (0.3, (0.3, 0.2, -0.5, 0.9), (-1.5, 0.3, 12.0)),
-    (-0.3, (0.3, 0.2, -0.5, 0.9), (-1.5, 0.3, 2.0))])
-def test_lagrange_top_nods_and_precesses(moment, attitude, rates):
-    # The first top precesses back and forth, and the second hangs.
-    problem = Problem(RigidBody.from_moments(0.2, 0.2, 0.1), State(0, attitude, rates),
-                      fields=[UniformField((0.0, 0.0, moment), (0.0, 0.0, -9.81))])
-    times_ns = np.array([1, 3]) * SECOND
-    with mp.workdps(25):
-        expected = fields.lagrange_top(problem, times_ns)
-        for error in fields.errors(problem.propagate(at=times_ns), expected):
-            assert np.all(error <= fields.bound(problem, times_ns))
 
 
 #: Moments, kg m^2, about the directions away from the planet (yaw), along the orbit (roll) and

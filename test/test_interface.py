@@ -41,6 +41,7 @@ from rigid_body_ros import (
     Wheel,
 )
 from rigid_body_ros.mechanics import euler, so3, urdf
+from rigid_body_ros.propagation import Options
 
 OPTIONS = "solver='auto', tolerance=1e-15, max_step=None, torque_timeout=0.0"
 #: Callables, with their parameters as callers may use them.
@@ -128,14 +129,15 @@ def test_a_trajectory_has_these_attributes():
     assert motion.euler_angles('ZXZ', continuous=False).shape == (2, 3)
     assert motion.degenerate('ZXZ').tolist() == [True, True]
     assert [model.solver for model in motion.models] == ['taylor']
+    np.testing.assert_allclose(motion.rotation.as_quat(), motion.attitude, rtol=0, atol=4e-16)
+    assert repr(motion) == 'Trajectory(2 states from 0 ns on, over 1 s)'
+    assert repr(propagate(RigidBody(np.eye(3)), State(), at=[])) == 'Trajectory(no states)'
 
 
-def test_a_propagator_answers_what_propagate_answers():
-    body, start = RigidBody(np.diag([1.0, 2.0, 2.5])), State(angular_velocity=(0.1, 0.2, 0.3))
-    propagator = Propagator(body, start)
-    assert propagator.apply(0, [0.0, 0.0, 1.0])
-    state = propagator.at(10 ** 9)
-    motion = propagate(body, start, TorqueLog([0], [[0.0, 0.0, 1.0]]), at=[10 ** 9])
-    assert state.time_ns == 10 ** 9
-    assert state.attitude.tolist() == motion.attitude[0].tolist()
-    assert state.angular_velocity.tolist() == motion.angular_velocity[0].tolist()
+def test_the_options_are_frozen_and_their_defaults_are_those_of_every_entry():
+    with pytest.raises(AttributeError):
+        Options().solver = 'rk4'
+    for entry in (propagate, Propagator.__init__, Problem.__init__):
+        defaults = entry.__kwdefaults__
+        assert Options(*(defaults[name] for name in (
+            'solver', 'tolerance', 'max_step', 'torque_timeout'))) == Options()

@@ -17,7 +17,7 @@
 from conftest import chord, EPOCH_NS, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from terms import numbers
 
 FULL = [[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]]
@@ -105,21 +105,6 @@ def test_an_absent_term_changes_no_bit_between_samples(frame, interpolation):
     for logs, wheels in (([log, EMPTY], None), ([log], EMPTY)):
         motion = propagate(PLAIN, START, logs, at=times, wheels=wheels)
         np.testing.assert_array_equal(numbers(motion), numbers(plain))
-
-
-def test_an_absent_term_changes_no_bit_of_a_propagator():
-    log = coasting_log(13)
-    plain = Propagator(PLAIN, START, history=1000.0)
-    other = Propagator(RigidBody(FULL, np.zeros((3, 3))), START, history=1000.0)
-    for row, time_ns in enumerate(log.times_ns):
-        plain.apply(time_ns, log.torques[row])
-        other.apply(time_ns, log.torques[row] / 2, source=3)
-        other.apply(time_ns, log.torques[row] / 2, source=1)
-        other.apply(time_ns, [0.0, 0.0, 0.0], 'space', source=2)
-        other.apply_wheels(time_ns, [0.0, 0.0, 0.0])
-    for time_ns in EPOCH_NS + np.arange(0, 20000, 777) * SECOND // 1000:
-        np.testing.assert_array_equal(numbers(other.at(time_ns)),
-                                      numbers(plain.at(time_ns)))
 
 
 @pytest.mark.parametrize('count', [5, 1], ids=['changing', 'constant'])

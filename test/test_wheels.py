@@ -38,7 +38,6 @@ from rigid_body_ros import (
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.runs import Ensemble
-from rigid_body_ros.live.checkpoint import Checkpoint
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.events import IMPOSSIBLE, RejectedError
 from rigid_body_ros.live.inputs import Inputs, Torque
@@ -200,24 +199,6 @@ def test_a_state_of_public_numbers_restarts_to_rounding():
     assert np.array_equal(Propagator(BODY, middle).at(2 * SECOND).attitude, held.attitude[0])
 
 
-def test_wheels_of_a_heavy_body_turn_it_as_ideal_motors_do():
-    # A wheel with negligible inertia acts like a motor that pushes against space.
-    wheel = Wheel('w', (1, 2, 2), 1e-12)
-    torque = np.array([0.1, 0.2, 0.2])
-    motion = propagate(BODY, START, at=[10 * SECOND], wheels=[wheel],
-                       efforts=EffortLog([0], [[0.3]]))
-    ideal = propagate(BODY, START, at=[10 * SECOND], wheels=TorqueLog([0], [torque]))
-    assert abs(motion.attitude - ideal.attitude).max() < 1e-10
-    assert motion.wheel_speeds[0, 0] == pytest.approx(0.3 * 10.0 / 1e-12, rel=1e-10)
-
-
-def test_without_efforts_the_axial_momentum_of_each_wheel_is_constant():
-    motion = propagate(BODY, START, at=np.arange(0, 50 * SECOND, SECOND), wheels=PYRAMID)
-    for k, wheel in enumerate(PYRAMID):
-        axial = motion.wheel_speeds[:, k] + motion.angular_velocity @ wheel.axis
-        assert abs(axial - axial[0]).max() < 1e-14 * 40.0
-
-
 SCENE = {'inertia.ixx': 2.0, 'inertia.iyy': 3.0, 'inertia.izz': 4.0,
          'initial_angular_velocity.x': 0.3, 'initial_rotor_momentum.y': 0.2,
          'wheel_names': ['rw_x', 'rw_yz'], 'rw_x.axis.x': 2.0, 'rw_x.inertia': 0.05,
@@ -274,19 +255,6 @@ def test_an_inertia_that_the_wheels_do_not_leave_is_rejected_as_one():
     with pytest.raises(RejectedError, match='^wheels: expected axial inertia that the') as error:
         inputs.torque(messages.inertia(SECOND, '', (0.05, 0.07, 0.07, 0.0, 0.0, 0.0)), SOURCE)
     assert error.value.cause == IMPOSSIBLE
-
-
-def test_a_checkpoint_keeps_the_speeds_of_the_wheels(tmp_path):
-    scene = Scene.from_values(SCENE)
-    state = Epoch(scene, scene.start).at(3 * SECOND, np.inf)
-    Checkpoint(str(tmp_path / 'state.json'), scene, '/node').save_last(state)
-    found = Checkpoint(str(tmp_path / 'state.json'), scene, '/node').start
-    assert np.array_equal(found.wheel_speeds, state.wheel_speeds)
-    assert np.array_equal(found.rotor_momentum, state.rotor_momentum)
-    end = Epoch(scene, found).at(4 * SECOND, np.inf)
-    expected = Epoch(scene, scene.start).at(4 * SECOND, np.inf)
-    assert abs(end.attitude - expected.attitude).max() < 1e-15
-    assert abs(end.wheel_speeds - expected.wheel_speeds).max() < 1e-13
 
 
 @pytest.mark.parametrize(('other', 'speed'), [(0.0, 7.0), (1e-9, 7.0), (-1.5, 30.0)])
@@ -445,18 +413,6 @@ def test_a_motor_at_the_limit_gives_what_friction_takes():
                      efforts=EffortLog([0], [[1.0]])).propagate(at=[SECOND])
     assert motion.wheel_efforts[0, 0] == pytest.approx(5e-3, rel=1e-9)
     assert motion.wheel_speeds[0, 0] == pytest.approx(5.0, rel=1e-15)
-
-
-def test_a_wheel_without_a_command_turns_as_the_body_drives_it():
-    values = TRUTH['by_the_body']
-    free = problem_of(values)
-    free = free.replaced(efforts=EffortLog([0], [[0.0]]))
-    unlimited = Problem(free.body, free.start, free.logs, wheels=[
-        replace(wheel, max_speed=0.0) for wheel in free.named_wheels.wheels])
-    at = np.arange(0, 10 * SECOND, SECOND)
-    motion = free.propagate(at=at)
-    assert not motion.at_limit
-    np.testing.assert_allclose(motion.attitude, unlimited.propagate(at=at).attitude, atol=1e-14)
 
 
 def test_rotors_with_the_mean_efforts_keep_the_momentum_of_the_wheels():
