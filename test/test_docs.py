@@ -144,6 +144,7 @@ def test_sphinx_builds_the_pages_without_a_warning(tmp_path):
     assert [name for name, text in built.items() if _REMOTE.search(text)] == []
     assert built['theory'].count('<math') > 100
     assert '\\frac' not in built['theory']
+    assert '<mi>&</mi>' not in built['theory']  # the mark of an environment that is not understood
 
 
 def test_the_python_interface_has_every_public_name_and_those_of_examples():
