@@ -303,17 +303,6 @@ def test_a_torque_delay_keeps_within_two_seconds_and_is_not_determined_there(del
     assert ('not determined   torque_delay: at its bound' in result.text()) == (delay > 2.0)
 
 
-@pytest.mark.nightly
-def test_a_plate_is_the_start_of_its_estimates_and_the_centre_of_what_is_known():
-    experiment = tumble(5.0).experiment(tumble(5.0).measured(ATTITUDE, RATE))
-    plate = RigidBody.from_moments(0.02, 0.03, 0.05)
-    result = identify(plate, experiment, estimate=['inertia', 'start'],
-                      priors={'inertia.izz': 1e-9})
-    assert [result.estimates[name].start for name in INERTIA_NAMES] == [
-        0.02, 0.03, 0.05, 0.0, 0.0, 0.0]
-    assert result.estimates['inertia.izz'].value == pytest.approx(0.05, abs=1e-7)
-
-
 @pytest.mark.slow
 def test_wheels_with_names_give_the_inertia_without_torque():
     stamps, times = np.arange(1, 1000) * (SECOND // 50), np.arange(100) * (SECOND // 5)
@@ -473,17 +462,6 @@ def bad(**changes):
 def test_bad_input_is_named(experiment, options, message):
     with pytest.raises(ValueError, match=message):
         identify(GUESS, experiment(), **options)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('seconds', at_night(60.0, 300.0))
-def test_a_chaotic_tumble_of_minutes(seconds):
-    truth = Truth(seconds, measured_hz=20)
-    result = identify(RigidBody(3.0 * np.diag(np.diag(INERTIA))),
-                      truth.experiment(truth.measured()))
-    assert inertia_error(result) < 1e-8
-    noisy = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)))
-    assert_covered(noisy, inertia_truth())
 
 
 @pytest.mark.nightly
