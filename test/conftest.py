@@ -146,6 +146,10 @@ def stranger(domain):
 
 @pytest.fixture
 def short_trades(monkeypatch):
+    limit_trades(monkeypatch)
+
+
+def limit_trades(monkeypatch):
     """Limit the steps and the repetitions of each setting that `attitude_tradeoff` measures."""
     monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_STEPS', 20_000)
     monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_REPEATS', 3)

@@ -53,6 +53,12 @@ TORQUES = np.round(0.01 * np.sin(np.arange(120.0)).reshape(40, 3), 9)
 HZ = 7
 
 
+@pytest.fixture(autouse=True)
+def undrawn(monkeypatch):
+    """Draw no pictures, which take longer than the runs; `test_ensemble_results` draws them."""
+    monkeypatch.setattr('rigid_body_ros.commands.ensemble._draw', lambda *given: None)
+
+
 @pytest.fixture
 def inputs(tmp_path):
     return write_inputs(tmp_path)

@@ -43,11 +43,12 @@ from test_ensemble import (
     make_blocks_small,
     run,
     small_blocks,
+    undrawn,
     without_recording,
     write_inputs,
 )
 
-inputs, small_blocks = inputs, small_blocks  # fixtures, used by their names
+inputs, small_blocks, undrawn = inputs, small_blocks, undrawn  # fixtures, used by their names
 #: A body whose motion takes days to compute, with steps for each radian, unless it is at rest.
 ENDLESS_SCENE = """/**:
   ros__parameters:
@@ -101,6 +102,7 @@ def test_a_second_command_changes_nothing(inputs, capsys):
     path = inputs / 'out'
     run(inputs, 'out', 20)
     assert check_whole(path)
+    (path / 'bands.png').touch()
     with started(arguments(inputs, 'out', 6000)) as first:
         wait_for(lambda: count(path / 'blocks') > 20 or first.poll() is not None)
         first.send_signal(signal.SIGSTOP)

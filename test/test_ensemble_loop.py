@@ -51,9 +51,10 @@ from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.scene import load, Scene
 from scipy.stats import binomtest
-from test_ensemble import contents
+from test_ensemble import contents, undrawn
 from test_ensemble_folder import wait_for
 
+undrawn = undrawn  # a fixture
 STEP_NS, END_NS = SECOND // 10, 2 * SECOND
 TIMES = np.array([0, 1, STEP_NS, SECOND // 3, SECOND, END_NS - 5, END_NS])
 SCENE = {'inertia.ixx': 0.045, 'inertia.iyy': 0.12, 'inertia.izz': 0.14, 'inertia.ixy': 0.002,

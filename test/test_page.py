@@ -20,7 +20,7 @@ import subprocess
 import sys
 
 import browser
-from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND
+from conftest import CONFIG, EPOCH_NS, limit_trades, RECORDINGS, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import messages, read, recording
@@ -57,6 +57,12 @@ def page(chromium, path):
 def others(tmp_path_factory):
     """Return the pages of the other commands, by name."""
     folder = tmp_path_factory.mktemp('others')
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        limit_trades(monkeypatch)
+        return write_pages(folder)
+
+
+def write_pages(folder):
     motion, pages = str(folder / 'motion.mcap'), {}
     (folder / 'vary.yaml').write_text('torque_gain: {normal: 0.03}\n')
     assert main.attitude_replay([*TUMBLER, '-o', motion, '--also', 'input']) == 0
