@@ -63,9 +63,9 @@ SUBSCRIBED = [
           'stamp 0 means on arrival. `header.frame_id` selects the axes: empty or the body frame '
           '(body axes), the space frame (space axes), or a [link of '
           '`robot_description`](node_howto.md#forces-and-frames), at whose origin the force acts. '
-          'A force without a [lever arm](conventions.md#force) is ignored, counted, and logged '
-          'once. The node reads all topics of `torque_topics` (default: `torque`) alike, also '
-          'with [other types](node_behaviour.md#which-types-can-torques-have).'),
+          'A force without a [lever arm](conventions.md#force) is ignored and counted. All '
+          '`torque_topics` are alike, and may have [other '
+          'types](node_behaviour.md#which-types-can-torques-have).'),
     Topic('initial_state', ODOMETRY, STATE,
           'Begins a new epoch at its stamp, with its attitude and angular velocity. Position and '
           'linear velocity are ignored. Rotor momentum and speeds of named wheels carry over.'),
@@ -148,10 +148,9 @@ CAUSES = {
                  '`wheel_command`, there is no name, a name is unknown or repeated, or an effort '
                  'is missing or not finite.',
     'unknown frame': 'The frame is neither empty nor the body frame (`frame_prefix` followed by '
-                     '`body_frame`), `space_frame`, or a [link](node_howto.md#forces-and-frames) '
-                     'fixed to the body or turned by a continuous joint along whose axis the '
-                     'wrench points. `wheel_torque` and `inertia` allow only an empty frame and '
-                     'the body frame; `wheel_command` allows any, except a marker from a log.',
+                     '`body_frame`), the space frame, or [a link that is '
+                     'allowed](node_howto.md#forces-and-frames). `wheel_torque` and `inertia` '
+                     'allow only the first two; `wheel_command` any, except a marker from a log.',
     'not finite': 'A component of the torque is NaN or infinite.',
     'too large': 'The torque or effort is above 1e9 rad/s^2 times the smallest principal moment '
                  'of the body in the scene.',
@@ -271,10 +270,10 @@ COMMANDS_PAGE = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
 # Commands: options and exit status
 
-The commands work on files; only `attitude_regress` needs ROS. `--help` ends with two examples that
-run in a clone of the repository. [The scene file](scene.md#which-command-takes-which-scene) says
-which command accepts which scene, and [Recordings](recordings.md#which-files-are-replaced) which
-outputs replace a file. `python docs/nodes.py commands > docs/commands.md` prints this page.
+Only `attitude_regress` needs ROS. `--help` ends with two examples that run in a clone of the
+repository. See also [which command takes which scene](scene.md#which-command-takes-which-scene),
+and [which files are replaced](recordings.md#which-files-are-replaced). `python docs/nodes.py
+commands > docs/commands.md` prints this page.
 
 ## Options of several commands
 
@@ -341,7 +340,7 @@ def commands():
         shared='\n\n'.join('\n'.join((wrapped(f'{names}:'), '', *lines))
                            for names, lines in shared.items()),
         commands='\n\n'.join('\n'.join((
-            f'## {command.name}\n', wrapped(f'{command.description} See {page}.'),
+            f'## {command.name}\n', f'{page} explains the results.',
             f'\n```text\nusage: {command.name} {usage}\n```\n',
             *(line for line in options[command.name] if len(users[line]) == 1)))
             for command, usage, page in COMMANDS),
