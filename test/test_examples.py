@@ -79,19 +79,6 @@ def textbook(moments, rates):
         return float(2 * mp.ellipk(modulus) * mp.sqrt(low * middle * high / one))
 
 
-@pytest.fixture(scope='module')
-def of_the_wing_nut(tmp_path_factory):
-    """Run the example without a path; return its output and its folder."""
-    folder = tmp_path_factory.mktemp('wing_nut')
-    return printed(folder, 'intermediate_axis'), folder
-
-
-@pytest.fixture(scope='module')
-def of_two_monte_carlos(tmp_path_factory):
-    folder = tmp_path_factory.mktemp('monte_carlo')
-    return printed(folder, 'monte_carlo'), printed(folder, 'monte_carlo')
-
-
 def test_the_top_precesses_at_the_rate_of_the_formula(tmp_path):
     lines = printed(tmp_path, 'spinning_top')
     assert lines['symmetry'] == 'symmetric top'
@@ -107,8 +94,10 @@ def test_the_top_precesses_at_the_rate_of_the_formula(tmp_path):
     assert numbers(lines['relative difference'])[0] < 1e-14
 
 
-def test_the_wing_nut_flips_as_often_as_the_formula_says(of_the_wing_nut):
-    lines, _ = of_the_wing_nut
+@pytest.mark.parametrize(('arguments', 'name'), [
+    ((), 'intermediate_axis.png'), *at_night((('flips.picture',), 'flips.picture'))])
+def test_the_wing_nut_flips_as_often_as_the_formula_says(tmp_path, arguments, name):
+    lines = printed(tmp_path, 'intermediate_axis', *arguments)
     flips = numbers(lines['flips at'])
     known = textbook(intermediate_axis.wing_nut().principal_moments, intermediate_axis.RATES)
     assert len(flips) >= 4
@@ -116,6 +105,17 @@ def test_the_wing_nut_flips_as_often_as_the_formula_says(of_the_wing_nut):
     for found in ('time between flips', 'textbook'):
         assert numbers(lines[found])[0] == pytest.approx(known, rel=1e-14, abs=0.0)
     assert numbers(lines['relative difference'])[0] < 1e-14
+    # The picture is a light PNG of sensible size.
+    path = tmp_path / name
+    assert lines['wrote'] == name
+    assert [*tmp_path.iterdir()] == [path]
+    assert path.read_bytes().startswith(b'\x89PNG')
+    picture = matplotlib.image.imread(path, format='png')
+    height, width = picture.shape[:2]
+    assert 500 < height < width < 2000
+    light = picture[..., :3].min(axis=2)
+    assert np.median(light) == light[0, 0] == 1.0
+    assert 0.01 < np.mean(light < 0.5) < 0.1
 
 
 @pytest.mark.parametrize('rates', [(0.0, 6.0, 0.05), (0.05, 6.0, 0.0), (-0.3, -5.0, 0.7)])
@@ -128,28 +128,6 @@ def test_flips_take_the_same_time_on_both_sides_of_the_separatrix(moments, rates
     np.testing.assert_allclose(np.diff(flips), known, rtol=1e-12)
     formula = intermediate_axis.textbook_time(np.array(moments), rates)
     assert formula == pytest.approx(known, rel=1e-14, abs=0.0)
-
-
-def test_the_picture_is_a_light_png_of_sensible_size(of_the_wing_nut):
-    lines, folder = of_the_wing_nut
-    path = folder / 'intermediate_axis.png'
-    assert lines['wrote'] == path.name
-    assert [*folder.iterdir()] == [path]
-    assert path.read_bytes().startswith(b'\x89PNG')
-    picture = matplotlib.image.imread(path)
-    height, width = picture.shape[:2]
-    assert 500 < height < width < 2000
-    light = picture[..., :3].min(axis=2)
-    assert np.median(light) == light[0, 0] == 1.0
-    assert 0.01 < np.mean(light < 0.5) < 0.1
-
-
-@pytest.mark.nightly
-def test_the_picture_goes_where_the_argument_says(tmp_path):
-    lines = printed(tmp_path, 'intermediate_axis', 'flips.picture')
-    assert lines['wrote'] == 'flips.picture'
-    assert [path.name for path in tmp_path.iterdir()] == ['flips.picture']
-    assert (tmp_path / 'flips.picture').read_bytes().startswith(b'\x89PNG')
 
 
 def test_the_picture_shows_rates_and_angle_with_their_units(tmp_path, monkeypatch):
@@ -242,20 +220,10 @@ def test_a_wrong_argument_is_told_in_one_line(tmp_path, name, arguments, message
     assert line.startswith(f'{name}.py: error: {message}')
 
 
-def test_monte_carlo_prints_the_same_numbers_twice(of_two_monte_carlos):
-    once, again = ({name: text for name, text in lines.items() if not name.startswith('time')}
-                   for lines in of_two_monte_carlos)
-    assert [*once] == ['torques', 'nominal end', 'median distance', '95th percentile']
-    assert once == again
-
-
-def test_monte_carlo_tells_what_a_body_and_a_run_take(of_two_monte_carlos):
+def test_monte_carlo_prints_the_distances_from_the_right_motion_and_its_times(tmp_path):
+    lines = printed(tmp_path, 'monte_carlo')
     for name in ('time per body drawn', 'time per run'):
-        assert 1e-3 < numbers(of_two_monte_carlos[0][name])[0] < 1e3
-
-
-def test_monte_carlo_tells_the_distances_from_the_right_motion(of_two_monte_carlos):
-    lines, _ = of_two_monte_carlos
+        assert 1e-3 < numbers(lines[name])[0] < 1e3
     nominal = numbers(lines['nominal end'])
     tumbler = scene.load(TUMBLER[1])
     result = replay(TUMBLER[0], tumbler)

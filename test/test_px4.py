@@ -92,17 +92,13 @@ def test_a_log_that_changes_is_read_again(tmp_path):
         assert len(recording.read(path)) == count - 1
 
 
-def test_a_time_of_sampling_that_is_not_set(tmp_path):
+def test_a_time_of_sampling_that_is_not_set_and_what_is_lost(tmp_path):
     rows = [(k, 0, (0.0, 0.0, 0.0, 1.0)) for k in range(1, 6)]
-    path = px4.write(tmp_path / 'log.ulg', {'vehicle_attitude': rows})
-    np.testing.assert_array_equal(read_measured(path).stamps_ns, 1000 * np.arange(1, 6))
-
-
-def test_what_is_lost_is_reported(tmp_path):
-    rows = [(k, k, (0.0, 0.0, 0.0, 1.0)) for k in range(1, 6)]
     path = px4.write(tmp_path / 'log.ulg', {'vehicle_attitude': rows},
                      [px4.dropout(30), px4.dropout(12)])
-    assert read_measured(path).damage == f'{path}: 2 dropouts of the logger, together 42 ms'
+    measured = read_measured(path)
+    np.testing.assert_array_equal(measured.stamps_ns, 1000 * np.arange(1, 6))
+    assert measured.damage == f'{path}: 2 dropouts of the logger, together 42 ms'
 
 
 @pytest.mark.parametrize(('content', 'message'), [
@@ -158,10 +154,6 @@ def test_the_topics_of_today_replace_older_ones(tmp_path):
     assert recording.read(path).topic == 'vehicle_torque_setpoint'
     with recording.Source(path, None, recording.TORQUES) as source:
         assert {*source.types} == {'vehicle_torque_setpoint', 'vehicle_angular_velocity'}
-
-
-def test_an_angular_velocity_of_px4_is_no_torque(tmp_path):
-    path = px4.write(tmp_path / 'log.ulg', {'vehicle_angular_velocity': CONTROLS})
     with pytest.raises(InputError, match='vehicle_angular_velocity: expected .*WrenchStamped'):
         recording.read(path, 'vehicle_angular_velocity')
 
@@ -228,17 +220,14 @@ def test_an_odometry_of_px4_has_attitude_and_rates(tmp_path):
     np.testing.assert_array_equal(measured.stamps_ns, SAMPLED)
 
 
-def test_a_recording_with_another_version_of_px4_msgs(tmp_path):
-    path = bags.mcap(tmp_path, px4.sent('/torque', 'ActuatorControls', TIMES, control=NUMBERS))
-    np.testing.assert_array_equal(recording.read(path).values[:, 3:], NUMBERS[:, :3])
-
-
-def test_another_version_without_its_definition_is_one_line(tmp_path):
-    path = bags.sqlite(tmp_path, px4.sent('/torque', 'ActuatorControls', TIMES, control=NUMBERS))
+def test_another_version_of_px4_msgs_needs_its_definition(tmp_path):
+    sent = px4.sent('/torque', 'ActuatorControls', TIMES, control=NUMBERS)
+    np.testing.assert_array_equal(recording.read(bags.mcap(tmp_path, sent)).values[:, 3:],
+                                  NUMBERS[:, :3])
     with pytest.raises(InputError, match='/torque: message 1: expected 52 bytes that begin with '
                        '00 01, as PX4 v1.14 to v1.17, because the recording does not, defines a '
                        'px4_msgs/msg/ActuatorControls, found 92 bytes that begin with 00 01'):
-        recording.read(path)
+        recording.read(bags.sqlite(tmp_path, sent))
 
 
 @pytest.mark.parametrize(('old', 'new', 'message'), [
