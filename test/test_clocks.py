@@ -166,21 +166,6 @@ def test_a_torque_may_overtake_the_clock_it_is_stamped_by(tmp_path, domain):
     assert set(run.stamps_ns) == {5 * SECOND, *early}
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize('ahead_ns', [2 * SECOND, 7200 * SECOND])
-def test_a_torque_may_overtake_a_clock_that_jumps_back(tmp_path, domain, ahead_ns):
-    begin_ns, torque = 100 * SECOND, [0.0, 0.0, 0.01]
-    with Session(TUMBLER, domain, *SIMULATED) as live:
-        run_clock(live, begin_ns + ahead_ns - SECOND, begin_ns + ahead_ns, wobble)
-        settle(live, begin_ns + ahead_ns)
-        live.publish(begin_ns, '', torque)
-        live.spin(0.1)
-        run_clock(live, begin_ns, begin_ns + SECOND // 2)
-        settle(live, begin_ns + SECOND // 2)
-        live.wait_until(lambda: begin_ns in accepted(live), 'the first torque of the next round')
-        finished(tmp_path, live)
-
-
 def test_a_given_start_time_holds_in_every_round_of_a_bag(tmp_path, domain):
     start_ns = 100 * SECOND + 12345
     with Session(TUMBLER, domain, *SIMULATED, '-p', f'start_time:={start_ns}') as live:

@@ -116,17 +116,6 @@ def test_duplicates_and_bursts_are_taken(tmp_path, domain):
     assert len(run.stamps_ns) == 902
 
 
-def test_silence_ends_the_torque_and_is_reported(tmp_path, domain):
-    with Session(TUMBLER, domain, *RELIABLE, '-p', 'torque_timeout:=0.3') as live:
-        live.publish(live.now_ns(), '', [0.0, 0.05, 0.0])
-        live.wait_until(lambda: 'the torque is zero, because torque_timeout (' in torques_of(
-            live)[2], 'a warning')
-        assert torques_of(live)[1] == WARN
-        live.publish(live.now_ns(), '', [0.0, 0.0, 0.05])
-        live.wait_for_torques(2)
-        finished(tmp_path, live)
-
-
 def test_a_publisher_dies_and_returns_and_two_are_named(tmp_path, domain):
     with Session(TUMBLER, domain, *RELIABLE, '-p', 'stale_after:=0.0') as live:
         live.publish(live.now_ns(), '', [0.01, 0.0, 0.0])

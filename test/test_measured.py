@@ -176,15 +176,6 @@ def test_messages_out_of_order_are_sorted(tmp_path, measured):
     assert found.attitude[5:7].tolist() == [[0.0, 0.0, 0.0, 1.0]] * 2  # the last of equal stamps
 
 
-def test_transforms_of_other_frames_are_ignored(tmp_path, measured):
-    path = only(tmp_path, 'TFMessage', measured)
-    found = read_measured(path, '/it', frames=('world', 'odometer'))
-    assert found.attitude.tolist() == [[1.0, 0.0, 0.0, 0.0]] * 2000
-    with pytest.raises(InputError, match="from 'world' to 'x', directly or in a chain, found "
-                                         "'world' to 'odometer', 'world' to 'base_link'"):
-        read_measured(path, '/it', frames=('world', 'x'))
-
-
 @pytest.mark.slow
 def test_frames_are_chosen_from_transforms_alone(run, tmp_path, measured):
     path = write(tmp_path / 'it.mcap', torque=torque_messages(truth()),

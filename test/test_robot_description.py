@@ -21,7 +21,7 @@ import tempfile
 import time
 
 from conftest import at_night
-from live import get_parameters, replayed, TUMBLER
+from live import get_parameters, replayed, Session, TUMBLER
 from live_session import LiveSession, RELIABLE
 import numpy as np
 import pytest
@@ -90,7 +90,7 @@ def test_a_node_without_an_inertia_takes_that_of_the_topic(tmp_path, domain, par
 
 
 def test_the_parameters_come_first(domain):
-    with LiveSession(TUMBLER, domain) as live:
+    with Session(TUMBLER, domain) as live:
         live.node.create_publisher(String, 'robot_description', LATCHED).publish(
             String(data=ROBOT))
         description, ixx = get_parameters(live, 'robot_description', 'inertia.ixx')
