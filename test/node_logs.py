@@ -72,6 +72,11 @@ def epoch(run, start, torques):
             *((COMMITTED, messages.odometry(state, 'world', 'base_link')) for state in states)]
 
 
+def two_epochs(run):
+    """Return the messages that a node publishes in the two epochs."""
+    return [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
+
+
 def save(path, sent, topics=(ACCEPTED,)):
     """Write the messages of a node, each 1 ms after the previous one; return the path."""
     with recording.Writer(path) as writer:

@@ -33,6 +33,7 @@ from node_logs import (
     save,
     SECOND_START,
     TORQUES,
+    two_epochs,
     WHEELS,
     without,
 )
@@ -59,15 +60,13 @@ def run():
 @pytest.fixture
 def two(run, tmp_path):
     """Return a recording of two epochs."""
-    return save(tmp_path / 'two.mcap', [*epoch(run, FIRST, TORQUES),
-                                        *epoch(run, SECOND_START, MORE)])
+    return save(tmp_path / 'two.mcap', two_epochs(run))
 
 
 @pytest.mark.parametrize(('keep', 'block'), [(False, 2 ** 20), (True, 2 ** 12)])
 def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, monkeypatch, keep, block):
     monkeypatch.setattr(writer, '_CHUNK', block)  # what is read at a time
-    two = save(tmp_path / 'two.mcap', [*epoch(run, FIRST, TORQUES),
-                                       *epoch(run, SECOND_START, MORE)])
+    two = save(tmp_path / 'two.mcap', two_epochs(run))
     # The start of the scene is not that of either epoch.
     result = replay(two, run, tmp_path / 'out.mcap', keep=keep)
     first, = result.earlier
@@ -100,7 +99,7 @@ def test_until_and_rate_are_those_of_each_epoch(run, two, tmp_path):
 @pytest.mark.parametrize(('name', 'defect'), [
     *((name, 'middle') for name in COMMANDS), ('replay', 'older')])
 def test_a_log_without_its_start_is_refused_by_every_command(run, tmp_path, capsys, name, defect):
-    sent = [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
+    sent = two_epochs(run)
     if defect == 'older':  # a marker without a start state, in later epochs only
         sent = without(sent, ACCEPTED, 0)
         sent[sent.index((ACCEPTED, messages.epoch_marker(SECOND_START)))] = (
@@ -121,7 +120,7 @@ def test_a_log_without_its_start_is_refused_by_every_command(run, tmp_path, caps
 
 def test_a_log_of_another_name_needs_its_start_if_it_has_a_marker(run, tmp_path):
     sent = [(topic.replace(ACCEPTED, '/torque'), data) for topic, data in
-            without([*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)], ACCEPTED, 0)]
+            without(two_epochs(run), ACCEPTED, 0)]
     log = save(tmp_path / 'log.mcap', sent, ['/torque'])
     with pytest.raises(InputError, match='/torque: expected the log of a node to begin .* marker '
                                          'in message 41: '):
@@ -361,7 +360,7 @@ def test_ordinary_torques_have_no_epochs_next_to_a_log(run, tmp_path):
 
 
 def test_a_topic_without_messages_has_no_torques_in_any_epoch(run, tmp_path):
-    sent = [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
+    sent = two_epochs(run)
     log = save(tmp_path / 'log.mcap', sent, [ACCEPTED, ACCEPTED_1])
     result = replay(log, run, topic=[ACCEPTED, ACCEPTED_1])
     motion = node_logs.motion_of(run, SECOND_START, MORE)

@@ -276,21 +276,15 @@ def test_what_changes_while_a_file_is_written_is_checked_again(tmp_path):
     assert [path.read_text() for path in tmp_path.iterdir()] == ['input']
 
 
-def test_what_is_read_no_longer_may_be_replaced(tmp_path):
-    path = tmp_path / 'file'
-    path.write_text('old')
-    with files.reading(path), pytest.raises(InputError):
+def test_what_is_read_with_its_journals_is_protected_as_long_as_it_is_read(tmp_path):
+    for name in ('bag', 'bag-wal'):
+        path = tmp_path / name
+        path.write_text('old')
+        with files.reading(tmp_path / 'bag'), \
+                pytest.raises(InputError, match='overwrite the in'):
+            write(path)
         write(path)
-    write(path)
-    assert path.read_text() == 'new'
-
-
-def test_journals_of_sqlite_are_read_with_their_file(tmp_path):
-    journal = tmp_path / 'bag.db3-wal'
-    journal.write_text('old')
-    with files.reading(tmp_path / 'bag.db3'), \
-            pytest.raises(InputError, match='overwrite the in'):
-        write(journal)
+        assert path.read_text() == 'new'
 
 
 def test_an_incomplete_file_gets_a_free_name(tmp_path):

@@ -30,11 +30,11 @@ from node_logs import (
     COMMITTED,
     epoch,
     FIRST,
-    MORE,
     rows,
     save,
     SECOND_START,
     TORQUES,
+    two_epochs,
     without,
 )
 import numpy as np
@@ -217,8 +217,7 @@ def run():
 @pytest.fixture
 def two(run, tmp_path):
     """Return a recording of two epochs."""
-    return save(tmp_path / 'two.mcap', [*epoch(run, FIRST, TORQUES),
-                                        *epoch(run, SECOND_START, MORE)])
+    return save(tmp_path / 'two.mcap', two_epochs(run))
 
 
 @pytest.mark.parametrize('start_time', [0, SECOND_START.time_ns, 3])
@@ -243,7 +242,7 @@ def nudged(stamp, values):
 
 
 def test_a_bit_that_differs_in_the_first_epoch_is_found(run, tmp_path, capsys):
-    sent = [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
+    sent = two_epochs(run)
     log = save(tmp_path / 'log.mcap', committed(sent, 17, nudged))
     assert called(tmp_path, 'verify', log) == 1
     words = capsys.readouterr().out
@@ -253,7 +252,7 @@ def test_a_bit_that_differs_in_the_first_epoch_is_found(run, tmp_path, capsys):
 
 
 def test_states_after_until_are_not_compared(run, tmp_path, capsys):
-    sent = [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
+    sent = two_epochs(run)
     log = save(tmp_path / 'log.mcap', committed(committed(sent, 17, nudged), 70, nudged))
     arguments = [log, '--scene', str(CONFIG / 'tumbler.yaml'), '--verify', log, '--until']
     assert main.attitude_replay([*arguments, '1']) == 0
@@ -275,7 +274,7 @@ def test_until_holds_for_ordinary_recordings_too(run, tmp_path):
 
 
 def test_torques_without_a_committed_state_are_counted(run, tmp_path, capsys):
-    sent = [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
+    sent = two_epochs(run)
     killed = without(sent, COMMITTED, *range(32, 40), *range(69, 71))
     assert called(tmp_path, 'verify', save(tmp_path / 'log.mcap', killed)) == 0
     assert ('compared      61 states of /node/committed in 2 epochs; 10 torques have no committed '
@@ -301,7 +300,7 @@ def test_torques_without_a_committed_state_are_counted(run, tmp_path, capsys):
     (lambda sent: without(sent, COMMITTED, *range(71)), 'expected states, found no messages')],
     ids=range(6))
 def test_states_without_a_counterpart_are_refused(run, tmp_path, capsys, change, message):
-    sent = [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
+    sent = two_epochs(run)
     assert called(tmp_path, 'verify', save(tmp_path / 'log.mcap', change(sent))) == 2
     captured = capsys.readouterr()
     line, = captured.err.splitlines()
