@@ -157,7 +157,8 @@ def test_the_python_interface_has_every_public_name_and_those_of_examples():
 
 
 def test_the_python_interface_has_an_example_of_every_public_name():
-    shown = ' '.join(code for code, _ in blocks(ROOT / 'docs' / 'api.md'))
+    shown = ' '.join(code for name in ('api', 'library')
+                     for code, _ in blocks(ROOT / 'docs' / f'{name}.md'))
     functions = [f'{module}.{name}' for module in ('so3', 'euler') for name, found in vars(
         getattr(rigid_body_ros, module)).items() if getattr(found, '__module__', '').endswith(
             f'mechanics.{module}') and not name.startswith('_')]
