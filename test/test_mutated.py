@@ -138,7 +138,7 @@ def dispersed(path, scene, recorded):
         options = ensemble_command.attitude_ensemble.parsed([
             '--scene', str(scene), '--recording', str(recorded), '--vary', str(path), '--runs',
             '3', '-o', str(path.parent / 'out')])
-        rows = ensemble_command._ensemble(options, load_scene(options)).rows(0, 3)
+        rows = ensemble_command._ensemble(options, load_scene(options), ()).rows(0, 3)
         assert {*rows['status']} <= {'ok', 'failed'}
         return 0
     return line_of(run, 'attitude_ensemble')
