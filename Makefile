@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # `make test` runs these on Jazzy: live is replay, parameters, services, lockstep, simulated time.
 SMOKE := test/test_node.py test/test_lockstep.py
 # These need the machine to themselves.
-ALONE := test/test_soak.py test/test_overload.py
+ALONE := test/test_soak.py
 
 .PHONY: demo test check nightly levels arm wheel release docs clean
 

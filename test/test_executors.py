@@ -29,14 +29,12 @@ from live import (
     spin_until,
     TUMBLER,
 )
-from live_session import ATTITUDE, COMMITTED, RELIABLE
-from nav_msgs.msg import Odometry
+from live_session import ATTITUDE, RELIABLE
 import numpy as np
 import pytest
 import rclpy
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, propagate, scene, State, TorqueLog
 from rigid_body_ros.node import AttitudeNode
 from rigid_body_ros.node.process import executor_of
@@ -46,8 +44,6 @@ EXECUTORS = {'single': SingleThreadedExecutor, 'multi': MultiThreadedExecutor,
              'events': lambda context: executor_of(context)}
 #: The executor; `beside` adds another node that blocks it for 50 ms at a time.
 COMPOSITIONS = ['multi', 'single beside', 'events beside', *at_night('single', 'multi beside')]
-#: Messages of a replay if the machine stalled when the node ended.
-MISSING, UNKNOWN = 'states are missing on ~/committed', 'the end of the log may be lost'
 BODY = [Parameter(f'inertia.{name}', value=value)
         for name, value in (('ixx', 0.02), ('iyy', 0.03), ('izz', 0.04))]
 
@@ -121,31 +117,6 @@ def test_every_torque_gets_its_response_in_every_executor(domain, composition):
         assert published[stamp_ns + step_ns] == attitude.tolist()
 
 
-def test_nodes_of_one_process_have_their_own_names_and_parameters(context):
-    left, right = (AttitudeNode(name, namespace='fleet', context=context, parameter_overrides=[
-        *BODY, Parameter('mode', value='lockstep'), Parameter('start_time', value=start_ns)])
-        for name, start_ns in (('left', SECOND), ('right', 2 * SECOND)))
-    client = rclpy.create_node('client', context=context)
-    received = {'left': [], 'right': []}
-    for name, states in received.items():
-        client.create_subscription(
-            Odometry, f'/fleet/{name}/committed', states.append,
-            QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL), raw=True)
-    executor = SingleThreadedExecutor(context=context)
-    for node in (left, right, client):
-        executor.add_node(node)
-    spin_until(executor, lambda: all(received.values()))
-    first = [messages.ODOMETRY.decode(received[name][0]).stamp_ns for name in ('left', 'right')]
-    assert first == [SECOND, 2 * SECOND]
-    assert left.get_parameter('inertia.izz').value == 0.04
-    assert left.resolve_topic_name('torque') == '/fleet/torque'
-    for node in (left, right, client):
-        executor.remove_node(node)
-        node.destroy_node()
-    left.destroy_node()  # a second time changes nothing
-    executor.shutdown()
-
-
 @pytest.mark.parametrize(('arguments', 'message'), [
     ({'node_name': 'left body'}, 'Invalid node name: node name must not contain characters other '
                                  "than alphanumerics or '_': 'left body'"),
@@ -166,14 +137,3 @@ def test_a_mistake_leaves_no_node(context):
         namespace for _, namespace in observer.get_node_names_and_namespaces()])
     assert raised
     observer.destroy_node()
-
-
-def test_destroying_a_node_publishes_what_is_pending(domain):
-    with Session(TUMBLER, domain, *RELIABLE, *PATIENT) as live:
-        now_ns = live.now_ns()
-        for number in range(10):
-            live.publish(now_ns + number, '', [0.0, 0.0, 0.01])
-        live.wait_until(lambda: len(live.torques) == 10, 'every torque')
-        assert len(live.received[COMMITTED]) == 1  # the others may still change
-        words = live.end()
-        assert len(live.received[COMMITTED]) == 11 or MISSING in words or UNKNOWN in words

@@ -30,17 +30,14 @@ from live import (
     run_clock,
     Session,
     set_parameter,
-    spin_until,
     TUMBLER,
 )
-from live_session import ATTITUDE, COMMITTED, LiveSession, RELIABLE
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rcl_interfaces.srv import DescribeParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State, TorqueLog
@@ -235,6 +232,42 @@ def test_wrenches_of_links_act_live_as_in_a_replay(tmp_path, domain):
     assert verified.same.all()
 
 
+def test_the_nodes_of_a_fleet_differ_in_diagnostics_and_frames(tmp_path, domain):
+    frames = {}
+    with Session(TUMBLER, domain, *RELIABLE, '-p', 'history:=60.0',
+                 '-p', 'frame_prefix:=one/') as live:
+        two = AttitudeNode('second', context=live.node.context, namespace='two',
+                           parameter_overrides=[Parameter('frame_prefix', value='two/')])
+        assert two.resolve_topic_name('torque') == '/two/torque'
+        live._executor.add_node(two)
+        for topic in ('/imu/data', '/two/imu/data'):
+            live.node.create_subscription(Imu, topic, lambda imu, topic=topic: frames.update(
+                {topic: imu.header.frame_id}), 10)
+
+        def statuses():
+            return {status.name: status.hardware_id for array in live.diagnostics
+                    for status in array.status}
+        live.wait_until(lambda: len(statuses()) >= 4 and len(frames) == 2, 'both nodes')
+        assert statuses() == {f'{node}: {status}': node for status in ('torques', 'motion')
+                              for node in ('/attitude_node', '/two/second')}
+        assert frames == {'/imu/data': 'one/base_link', '/two/imu/data': 'two/base_link'}
+        start_ns = live.now_ns()
+        for number, frame_id in enumerate(('', 'one/base_link', 'world', 'base_link', 'two/world',
+                                           'two/base_link')):
+            live.publish(start_ns + number, frame_id, [0.01, 0.02, number * 0.01])
+        live.wait_until(lambda: live.diagnosis('torques')[0]['received'] == 6, 'all torques')
+        counts, _, _ = live.diagnosis('torques')
+        assert counts['rejected: unknown frame'] == 3
+        assert [torque.frame_id for torque in decoded(live, ACCEPTED, messages.WRENCH)] == [
+            'one/base_link', 'one/base_link', 'world']
+        prefix, = get_parameters(live, 'frame_prefix')
+        assert prefix.string_value == 'one/'
+        run = finished(tmp_path, live)
+        for _ in range(2):  # a second time changes nothing
+            two.destroy_node()
+    assert len(run.stamps_ns) == 4
+
+
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 # Both `ros2 launch` and the terminal send the signal.
 @pytest.mark.parametrize('count', [1, *at_night(1000)])
@@ -251,33 +284,21 @@ def test_signals_end_it_cleanly(domain, number, count):
         assert 'rror' not in words
 
 
-def test_a_recorder_that_starts_later_gets_the_log_from_its_marker_on(context):
-    node = AttitudeNode(context=context, parameter_overrides=[
-        *(Parameter(f'inertia.{name}', value=1.0) for name in ('ixx', 'iyy', 'izz')),
-        Parameter('qos_overrides./torque.subscription.reliability', value='reliable')])
-    other, received = Node('other', context=context), []
-    executor = SingleThreadedExecutor(context=context)
-    for each in (node, other):
-        executor.add_node(each)
-    publisher = other.create_publisher(WrenchStamped, 'torque', 100)
-    spin_until(executor, publisher.get_subscription_count)
-    sent = [node.get_clock().now().nanoseconds - number for number in range(40, 0, -1)]
-    for stamp_ns in sent:
-        publisher.publish(messages.wrench(stamp_ns, '', [1e-3, 0.0, 0.0]))
-    run = node._component._mode.run
-    spin_until(executor, lambda: run.epoch.newest_ns == sent[-1])
-    other.create_subscription(
-        WrenchStamped, '/attitude_node/accepted_torque', received.append,
-        QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL), raw=True)
-    spin_until(executor, lambda: len(received) == 41)
-    publisher.publish(messages.wrench(sent[-1] + 1, '', [1e-3, 0.0, 0.0]))
-    spin_until(executor, lambda: len(received) == 42)
+def test_a_recorder_that_starts_later_gets_the_log_from_its_marker_on(domain):
+    with Session(TUMBLER, domain, *RELIABLE) as live:
+        sent, received = [live.now_ns() - number for number in range(41, 0, -1)], []
+        for stamp_ns in sent[:-1]:
+            live.publish(stamp_ns, '', [1e-3, 0.0, 0.0])
+        live.wait_until(lambda: len(live.torques) == 40, 'all torques')
+        live.node.create_subscription(
+            WrenchStamped, ACCEPTED, received.append,
+            QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL), raw=True)
+        live.wait_until(lambda: len(received) == 41, 'the log')
+        live.publish(sent[-1], '', [1e-3, 0.0, 0.0])
+        live.wait_until(lambda: len(received) == 42, 'the next torque')
     found = [messages.WRENCH.decode(data) for data in received]
     assert messages.is_epoch_marker(found[0].frame_id)
-    assert [message.stamp_ns for message in found[1:]] == [*sent, sent[-1] + 1]
-    executor.shutdown()
-    node.destroy_node()
-    other.destroy_node()
+    assert [message.stamp_ns for message in found[1:]] == sent
 
 
 def test_torques_sent_before_the_node_started_are_reported(domain):

@@ -15,6 +15,7 @@
 """The package as pip and colcon install it, what it imports, and the rules for its files."""
 
 import ast
+from collections import Counter
 from contextlib import contextmanager
 from importlib import metadata
 from importlib.util import find_spec
@@ -22,6 +23,7 @@ import os
 from pathlib import Path
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -38,6 +40,8 @@ NODES = ('attitude_controller', 'attitude_lifecycle_node', 'attitude_monitor', '
 #: Commands that test_readme.py also runs, as pip installs them.
 OFFLINE = ('attitude_compare', 'attitude_design', 'attitude_ensemble', 'attitude_identify',
            'attitude_regress', 'attitude_replay', 'attitude_tradeoff')
+PYTHON = ['benchmarks', 'build_kernels', 'docs', 'examples', 'launch', 'rigid_body_ros',
+          'setup.py', 'test']
 NEEDS_ROS = pytest.mark.skipif(find_spec('rclpy') is None,
                                reason='ROS 2 (rclpy) is not installed')
 #: A command that does what `ros2 run PACKAGE EXECUTABLE` does: it finds the prefix of the package
@@ -314,6 +318,31 @@ def test_every_source_file_begins_with_the_license():
     assert len(listed) > 100
     for name in listed:
         assert (ROOT / name).read_text().startswith(header), name
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings('ignore')  # those about the linters themselves
+@pytest.mark.parametrize(('linter', 'paths'), [
+    ('ament_copyright', [*PYTHON, 'CONTRIBUTING.md', 'LICENSE']),
+    # These take a minute, and ruff checks most of the same rules.
+    *at_night(('ament_flake8', PYTHON), ('ament_pep257', PYTHON)),
+    ('ament_xmllint', ['package.xml', 'config/security'])])
+def test_the_linters_of_ros_find_no_problem(linter, paths):
+    pytest.importorskip(f'{linter}.main', reason=f'{linter} is not installed as a whole')
+    if linter == 'ament_xmllint' and not shutil.which('xmllint'):
+        pytest.skip('xmllint is not installed')
+    # In a new process, because flake8 forks, and a fork of a process with ROS nodes crashes.
+    subprocess.run([sys.executable, '-W', 'ignore', '-c', 'import sys; from '
+                    f'{linter}.main import main; sys.exit(main(sys.argv[1:]))', *paths],
+                   cwd=ROOT, check=True)
+
+
+def test_a_class_name_is_defined_once():
+    names = Counter()
+    for path in (ROOT / 'rigid_body_ros').rglob('*.py'):
+        names.update(re.findall(r'^ *class (\w+)[(:]', path.read_text(encoding='utf-8'),
+                                re.MULTILINE))
+    assert sorted(name for name, count in names.items() if count > 1) == []
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason='only root can be another user')

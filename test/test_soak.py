@@ -12,8 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The long run of benchmarks/soak.py, shortened, at half the rate."""
+"""The long run and the overload of benchmarks/soak.py and benchmarks/overload.py, shortened."""
 
+import overload
 import pytest
 import soak
 
@@ -27,3 +28,9 @@ def test_every_torque_is_accounted_for_memory_is_flat_and_live_is_replay(domain,
     monkeypatch.setattr(soak, 'LONGEST_DELAY', soak.LONGEST_DELAY // 2)
     lines, _ = soak.soak(20.0, domain)
     assert not [line for line in lines if not (line.holds or line.name == soak.PROCESSOR_TIME)]
+
+
+def test_an_overloaded_node_accounts_for_every_torque_and_catches_up(domain):
+    lines = overload.overload(rate=5000.0, seconds=5.0, domain=domain)
+    # Durations are not checked, because they depend on other load of the machine.
+    assert not [line for line in lines if not (line.holds or line.name.endswith(', s'))]
