@@ -42,7 +42,7 @@ from rigid_body_ros import (  # noqa: E402
     Wheel,
 )
 from rigid_body_ros.design.information import Question, Sensor  # noqa: E402
-from rigid_body_ros.design.maneuver import Maneuvers  # noqa: E402
+from rigid_body_ros.design.maneuver import Maneuvers, NO_LIMITS  # noqa: E402
 from rigid_body_ros.design.search import design  # noqa: E402
 import simulated  # noqa: E402
 
@@ -92,7 +92,7 @@ def maneuvers_of(vehicle):
     body = RigidBody.from_moments(*vehicle.inertia)
     problem = Problem(body, State(0), wheels=vehicle.wheels(), fields=vehicle.fields())
     limits = {name: np.array(limit) for name, limit in vehicle.limits.items()}
-    return Maneuvers(problem, limits, vehicle.seconds, simulated.TORQUE_HZ)
+    return Maneuvers(problem, {**NO_LIMITS, **limits}, vehicle.seconds, simulated.TORQUE_HZ)
 
 
 def flown(name, problem, expected, seed):

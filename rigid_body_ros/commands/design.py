@@ -30,7 +30,6 @@ from rigid_body_ros.common.errors import InputError, located
 from rigid_body_ros.runtime.terminal import progress
 
 if TYPE_CHECKING:
-    from rigid_body_ros.common.arrays import Floats
     from rigid_body_ros.design.information import Sensor
     from rigid_body_ros.design.maneuver import Maneuvers
     from rigid_body_ros.scene import Scene
@@ -51,61 +50,55 @@ def _run(options: argparse.Namespace) -> int:
         scene = load_scene(options)
         maneuvers = _maneuvers(options, scene)
         if output and (maneuvers.is_free or (is_csv and scene.named_wheels)):
-            raise InputError(f'-o: expected none without torque, and not .csv for commands of '
+            raise InputError('-o: expected none without torque, and not .csv for commands of '
                              f'wheels, found {output}')
         question = Question([name for name in options.estimate if name != 'start'],
-                            options.sensors, dict(options.prior),
-                            options.gravity or Question.gravity, options.criterion)
+                            options.sensors, dict(options.prior), options.criterion)
         with located(options.scene):
             result = design(maneuvers, question, progress('designing', ' maneuvers'))
         if output:
             with outputs.writing(output):
                 result.write(output, scene)
-        outputs.write_asked(scene, lambda: result.report(
-            Path(options.scene).name, options.degrees), result.as_dict)
-    outputs.show(result.text(options.degrees), 17)
-    return OK if result.expected.is_known.all() else PARTIAL
+        outputs.write_asked(scene, lambda: result.report(Path(options.scene).name),
+                            result.as_dict)
+    outputs.show(result.text(), 17)
+    return PARTIAL if result.expected.unknown_names else OK
 
 
 def _maneuvers(options: argparse.Namespace, scene: Scene) -> Maneuvers:
     """Return the maneuvers within the given limits, and those of the motors of the scene."""
     import numpy as np
-    from rigid_body_ros.design.maneuver import Maneuvers, RATE, TORQUE, TORQUE_RATE, WHEEL_SPEED
-    limits, wheels, problem = dict(options.limit), scene.named_wheels, scene.problem()
-    for name in {*limits} & {TORQUE, TORQUE_RATE}:
-        if len(limits[name]) not in (1, count := len(wheels) or 3):
-            raise InputError(f'--limit {name}: expected 1 number or {count}, found '
-                             f'{len(limits[name])}')
-        limits[name] = np.broadcast_to(limits[name], count)
-    for name, own in ((TORQUE, 'max_torque'), (WHEEL_SPEED, 'max_speed')):
-        motors = np.array([getattr(wheel, own) or np.inf for wheel in wheels])
-        if np.isfinite(motors).any():
-            limits[name] = np.minimum(limits.get(name, np.inf), motors)
-    if wheels:  # the limits of the motors are among the limits of the maneuver
+    from rigid_body_ros.design.maneuver import Maneuvers, NO_LIMITS
+    wheels, problem, limits = scene.named_wheels, scene.problem(), {**NO_LIMITS}
+    for name, values in options.limit:
+        count = (len(wheels) or 3) if name.startswith('torque') else 1
+        if len(values) not in (1, count):
+            raise InputError(f'--limit {name}: expected {"1 number or " * (count > 1)}{count}, '
+                             f'found {len(values)}')
+        limits[name] = np.resize(values, count)
+    for name, own in (('torque', 'max_torque'), ('wheel_speed', 'max_speed')):
+        limits[name] = np.minimum(limits[name], [getattr(wheel, own) or math.inf
+                                                 for wheel in wheels] or math.inf)
+    if wheels:  # the limits of the motors are now among those of the maneuver
         problem = problem.replaced(wheels=[replace(wheel, max_torque=0.0, max_speed=0.0)
                                            for wheel in wheels])
-    torque = limits.get(TORQUE)
-    if torque is None or not (torque.all() or (RATE in limits and not torque.any())):
+    is_free = not limits['torque'].any() and np.isfinite(limits['rate'])
+    if not is_free and not (np.isfinite(limits['torque']) & (limits['torque'] > 0.0)).all():
         raise InputError('--limit: expected a torque greater than zero about all axes, or '
-                         'torque=0 and a rate, found others')
+                         f'torque=0 and a rate, found torque={limits["torque"].tolist()}')
     return Maneuvers(problem, limits, options.duration, options.rate)
 
 
-def _limit(text: str) -> tuple[str, Floats]:
-    import numpy as np
-    from rigid_body_ros.design.maneuver import ANGLE, LIMITS, RATE, TORQUE
+def _limit(text: str) -> tuple[str, list[float]]:
+    from rigid_body_ros.design.maneuver import LIMITS
     name, _, values = text.partition('=')
-    plain = values.removesuffix('deg') if name in (RATE, ANGLE) else values
-    try:
-        numbers = np.array([*map(float, plain.split(','))])
-    except ValueError:
-        numbers = np.array([math.nan])
-    least = 0.0 if name == TORQUE else 1e-12
-    is_good = (numbers >= least).all() and (numbers < math.inf).all()
-    if name not in LIMITS or not is_good or (len(numbers) > 1 and TORQUE not in name):
-        raise argparse.ArgumentTypeError(f'expected NAME=VALUE, a name among {", ".join(LIMITS)} '
-                                         f'and a positive number, found {text!r}')
-    return name, numbers if plain == values else np.radians(numbers)
+    plain = values.removesuffix('deg') if name in ('rate', 'angle') else values
+    if name not in LIMITS:
+        raise argparse.ArgumentTypeError(
+            f'expected NAME=VALUE with a name among {", ".join(LIMITS)}, found {text!r}')
+    numbers = [0.0 if number == '0' and name == 'torque' else positive(number)
+               for number in plain.split(',')]
+    return name, numbers if plain == values else [*map(math.radians, numbers)]
 
 
 def _sensors(text: str) -> list[Sensor]:
@@ -142,8 +135,6 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument('--prior', type=prior, action='append', default=[], metavar='NAME=SIGMA',
                         help='what is known, as for attitude_identify; with a prior of the '
                         'inertia, the maneuver also suits three bodies drawn from it')
-    parser.add_argument('--gravity', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
-                        help='gravity for weight, m/s^2, space axes (default: 0 0 -9.80665)')
     parser.add_argument('--criterion', choices=('minmax', 'D', 'A'), default='minmax',
                         help='what to make small: the widest interval (minmax, the default), the '
                         'volume of all (D), or the sum of their squares (A), each relative to its '
@@ -152,7 +143,6 @@ def _add_arguments(parser: Parser) -> None:
                         help='rate of the torque samples (default: 50)')
     parser.add_argument('-o', '--output', metavar='PROFILE', help='write the torques, and the '
                         'motion as a reference for a controller, as MCAP or CSV')
-    parser.add_degrees()
     parser.add_outputs('json', 'plot')
 
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import entries, Floats
-from rigid_body_ros.inference.coordinates import checked_priors, GRAVITY, Prior
+from rigid_body_ros.inference.coordinates import checked_priors, Prior
 from rigid_body_ros.inference.evidence import certainty, Direction
 from rigid_body_ros.inference.fit import LeastSquares, Weight
 from rigid_body_ros.inference.noise import NORMAL_95
@@ -63,8 +63,6 @@ class Question:
     sensors : sequence of Sensor
     priors : dict of str to float or str
         What is known before the flight, as for `identify`.
-    gravity : sequence of 3 float, m/s^2, space axes
-        The acceleration that acts on the weight.
     criterion : str
         What should be small: the widest interval (minmax), the volume of all intervals (D), or the
         sum of their squares (A), each relative to the scale of its component.
@@ -74,7 +72,6 @@ class Question:
     names: Sequence[str]
     sensors: Sequence[Sensor]
     priors: Mapping[str, float | str]
-    gravity: Sequence[float] = GRAVITY
     criterion: str = MINMAX
 
     def expected(self, flown: Problem, seconds: float, most_hz: float = np.inf) -> Expected:
@@ -93,8 +90,7 @@ class Question:
                 (motion.attitude, None) if is_attitude else (None, motion.angular_velocity))))
             weights.append(Weight(noise * np.sqrt(taken / hz), np.ones(len(stamps_ns)),
                                   np.ones(3)))
-        return self._of(setup_of([flown], [channels], (*self.names, START), gravity=self.gravity),
-                        weights)
+        return self._of(setup_of([flown], [channels], (*self.names, START)), weights)
 
     def _of(self, setup: Setup, weights: list[Weight]) -> Expected:
         given, start = setup.given, setup.problems[0].start
@@ -152,6 +148,11 @@ class Expected(NamedTuple):
     def half_widths(self) -> Floats:
         """Return the half-widths of the 95 % intervals; infinite if a component is not known."""
         return np.where(self.is_known, NORMAL_95 * np.sqrt(np.diag(self.covariance)), np.inf)
+
+    @property
+    def unknown_names(self) -> list[str]:
+        """Return the names of the components that the flight does not determine."""
+        return [name for name, is_known in zip(self.names, self.is_known) if not is_known]
 
     @property
     def widest(self) -> float:

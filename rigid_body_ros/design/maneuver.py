@@ -31,12 +31,15 @@ from rigid_body_ros.propagation import Problem
 #: The names of the limits. Those of a torque have a number for each axis, or each named wheel.
 TORQUE, TORQUE_RATE, RATE, ANGLE, WHEEL_SPEED = LIMITS = (
     'torque', 'torque_rate', 'rate', 'angle', 'wheel_speed')
+NO_LIMITS = dict.fromkeys(LIMITS, np.full(1, np.inf))
 #: Number of sines whose sum is the angular velocity about each axis.
 _SINES = 2
 #: The angular velocity rises from rest, and falls to rest, within this fraction of the time.
 _RAMP = 0.05
 #: Minimum number of samples of the torque in a period of a sine, and minimum number of periods.
 _SAMPLES, _PERIODS = 8.0, 1.5
+#: The amplitude of a maneuver is corrected at most so often, until its largest load is nearly 1.
+_CORRECTIONS, _NEARLY = 8, 0.02
 #: The limits are checked at this many times in each sample of the torque. If a limit is exceeded,
 #: the maneuver becomes smaller by the excess and this fraction.
 FINE, _MARGIN = 20, 1e-6
@@ -56,10 +59,10 @@ class Maneuvers:
     problem : Problem
         The vehicle and its initial state, without torques.
     limits : dict of str to array, shape (k,)
-        The limits, by name: the torque about each body axis or of each named wheel, N m, its
-        change per time, N m/s, and the magnitudes of the angular velocity, rad/s, of the angle
-        from the initial attitude, rad, and of the speeds of wheels, rad/s. If the torque is zero,
-        only the initial angular velocity can be chosen.
+        The limits, by name, as in `NO_LIMITS`: the torque about each body axis or of each named
+        wheel, N m, its change per time, N m/s, and the magnitudes of the angular velocity, rad/s,
+        of the angle from the initial attitude, rad, and of the speeds of wheels, rad/s. If the
+        torque is zero, only the initial angular velocity can be chosen.
     seconds : float, s
         The duration.
     hz : float, Hz
@@ -96,11 +99,9 @@ class Maneuvers:
         angle, little of the motion is left.
         """
         fastest = self.limits[TORQUE].max() / self.problem.body.principal_moments.min()
-        corners = [fastest / self.limits[RATE][0]] if RATE in self.limits else []
-        corners += [np.sqrt(fastest / self.limits[ANGLE][0])] if ANGLE in self.limits else []
-        low = _PERIODS / self.seconds
-        return np.array([low, max(2.0 * low, min(max(corners, default=np.inf) / np.pi,
-                                                 self.hz / _SAMPLES))])
+        corner = max(fastest / self.limits[RATE][0], np.sqrt(fastest / self.limits[ANGLE][0]))
+        low, high = _PERIODS / self.seconds, self.hz / _SAMPLES
+        return np.array([low, max(2.0 * low, min(high, corner / np.pi or high))])
 
     @property
     def bounds(self) -> Floats:
@@ -121,9 +122,12 @@ class Maneuvers:
         sines = size * np.sin(2.0 * np.pi * np.exp(frequency) * self._times + phase)
         return self._scaled(self._ramps(self._times, self.seconds) * sines.sum(axis=1).T)
 
-    def _scaled(self, motion: Floats, corrections: int = 2) -> Floats:
-        for _ in range(corrections):
-            motion = motion / max(self.loads(self.flown(motion)).values())
+    def _scaled(self, motion: Floats) -> Floats:
+        for _ in range(_CORRECTIONS):
+            largest = max(self.loads(self.flown(motion)).values())
+            motion = motion / largest
+            if abs(largest - 1.0) < _NEARLY:
+                break
         return motion
 
     @staticmethod
@@ -211,15 +215,15 @@ class Maneuvers:
                  ANGLE: so3.angle_between(motion.attitude[:1], motion.attitude)[:, None],
                  WHEEL_SPEED: motion.wheel_speeds}
         if not self.is_free:
-            held = flown.efforts.efforts if flown.efforts else flown.logs[0].torques
+            held = commands_of(flown)
             found |= {TORQUE: held, TORQUE_RATE: self.hz * np.diff(
-                held, axis=0, prepend=np.zeros_like(held[:1]))}
+                held, axis=0, prepend=0.0 * held[:1])}
         loads = {}
-        for name in self.limits.keys() & found.keys():
+        for name, values in found.items():
             is_bound = fine > 1 and not name.startswith(TORQUE)
-            change = 0.5 * np.abs(np.diff(found[name], axis=0)).max(axis=0) if is_bound else 0.0
-            loads[name] = float(((np.abs(found[name]).max(axis=0) + change)
-                                 / self.limits[name]).max())
+            change = 0.5 * np.abs(np.diff(values, axis=0)).max(axis=0) if is_bound else 0.0
+            loads[name] = float(((np.abs(values).max(axis=0) + change)
+                                 / self.limits[name]).max(initial=0.0))
         return loads
 
     def held(self, motion: Floats, bodies: Sequence[RigidBody]) -> Problem:
@@ -231,6 +235,11 @@ class Maneuvers:
             if largest <= 1.0:
                 return flown
             motion = motion / (largest * (1.0 + _MARGIN))
+
+
+def commands_of(flown: Problem) -> Floats:
+    """Return the torques of a flight, or the efforts of its named wheels, N m, shape (n, k)."""
+    return flown.efforts.efforts if flown.efforts else flown.logs[0].torques
 
 
 def _joined(start: Floats, turns: Floats) -> Floats:

@@ -19,22 +19,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.design.information import Expected, Question, Sensor
-from rigid_body_ros.design.maneuver import ANGLE, FINE, Maneuvers
+from rigid_body_ros.design.maneuver import ANGLE, commands_of, FINE, Maneuvers
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, Writer
 from rigid_body_ros.report import moving_body
-from rigid_body_ros.report.charts import Curves, Panel, RATES
-from rigid_body_ros.report.panels import torque_panels
+from rigid_body_ros.report.charts import Curves, Panel, RATES, TORQUES
 from rigid_body_ros.report.report import Report, table
-from rigid_body_ros.report.text import lines, numbers, scaled
+from rigid_body_ros.report.text import lines, numbers
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
@@ -42,7 +40,7 @@ from rigid_body_ros.scene.quantities import components_of, quantity_of
 
 #: Maneuvers in a population of the search, the number of maneuvers that it tries in all, and the
 #: number that it tries to find out what another limit or sensor would tell.
-_POPULATION, _TRIALS, _OTHERS = 36, 2880, 360
+_POPULATION, _TRIALS, _OTHERS = 24, 4800, 360
 #: Size of the changes from which a search for an alternative begins, relative to the bounds.
 _NEAR = 0.05
 #: Number of bodies, drawn from a prior of the inertia, for which a maneuver is also good.
@@ -51,8 +49,8 @@ _DRAWS = 3
 _TORQUE_HZ, _SENSOR_HZ = 20.0, 5.0
 #: A limit is named as one that limits the maneuver if its load is above this number.
 _ACTIVE = 0.98
-#: The topic of commands to named wheels, and the topics of the reference for a controller.
-_WHEELS, _REFERENCE = '/wheel_command', (f'/reference{ATTITUDE}', f'/reference{ANGULAR_VELOCITY}')
+#: The heading of a CSV file.
+_HEADING = 'time (s),tx (Nm),ty (Nm),tz (Nm),qx,qy,qz,qw,wx (rad/s),wy (rad/s),wz (rad/s)'
 
 
 def design(maneuvers: Maneuvers, question: Question, track: Track = no_progress) -> Design:
@@ -108,7 +106,8 @@ def _best(maneuvers: Maneuvers, question: Question, bodies: list[RigidBody], tra
                    .cost(question.criterion) for body in bodies)
     found = differential_evolution(
         cost, bounds, init=bounds[:, 0] + np.clip(first, 0.0, 1.0) * np.ptp(bounds, axis=1),
-        maxiter=trials // _POPULATION - 1, tol=0.0, polish=False, seed=0).x
+        strategy='currenttobest1bin', recombination=0.9, maxiter=trials // _POPULATION - 1,
+        tol=0.0, polish=False, seed=0).x
     flown = maneuvers.held(maneuvers.motion(found), bodies)
     return found, flown, question.expected(flown, maneuvers.seconds)
 
@@ -117,7 +116,7 @@ def _alternatives(maneuvers: Maneuvers, question: Question
                   ) -> Iterator[tuple[str, tuple[Maneuvers, Question]]]:
     """Generate what may tell more: more time, a larger angle, and another quantity."""
     yield 'twice as long', (replace(maneuvers, seconds=2.0 * maneuvers.seconds), question)
-    if ANGLE in maneuvers.limits:
+    if np.isfinite(maneuvers.limits[ANGLE]).all():
         limits = {**maneuvers.limits, ANGLE: 1.5 * maneuvers.limits[ANGLE]}
         yield 'angle x 1.5', (replace(maneuvers, limits=limits), question)
     first = question.sensors[0]
@@ -152,47 +151,45 @@ class Design:
     others: Mapping[str, Expected]
 
     @property
+    def every(self) -> dict[str, Expected]:
+        """Return the expected intervals of all maneuvers, by name."""
+        return {'designed': self.expected, **self.usual, **self.others}
+
+    @property
     def headline(self) -> str:
         """Return what is not determined, or how wide the widest interval is."""
-        names = [name for name, is_known in zip(self.expected.names, self.expected.is_known)
-                 if not is_known]
-        if names:
+        if names := self.expected.unknown_names:
             return f'no maneuver within these limits determines {", ".join(names)}'
-        name, best = min(self.usual.items(), key=lambda pair: pair[1].widest)
-        return f'all intervals within {100.0 * self.expected.widest:.2g} % of their scales, ' \
-               f'{best.widest / self.expected.widest:.2g} times narrower than after a {name}'
+        widest, (name, best) = self.expected.widest, min(
+            self.usual.items(), key=lambda pair: pair[1].widest)
+        return f'all intervals within {100.0 * widest:.2g} % of their scales, ' \
+               f'{best.widest / widest:.2g} times narrower than after a {name}'
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as JSON types, with None for intervals that are not known."""
-        every = {'designed': self.expected, **self.usual, **self.others}
         return {
-            'estimates': {name: {'value': value, 'half_width_95': width} for name, value, width
-                          in zip(self.expected.names, self.expected.values.tolist(),
-                                 as_json(self.expected.half_widths))},
-            'unidentifiable': [asdict(one) for one in self.expected.unknown],
+            'values': dict(zip(self.expected.names, self.expected.values.tolist())),
             'half_widths_95': {name: dict(zip(one.names, as_json(one.half_widths)))
-                               for name, one in every.items()},
+                               for name, one in self.every.items()},
+            'unidentifiable': [asdict(one) for one in self.expected.unknown],
             'initial_angular_velocity_rad_s': self.flown.start.angular_velocity.tolist(),
             'loads': self.maneuvers.loads(self.flown, FINE)}
 
-    def text(self, degrees: bool = False) -> str:
+    def text(self) -> str:
         """Return the facts, and a table of the expected intervals."""
-        rows = self.table(degrees)
-        widths = [max(map(len, column)) + 2 for column in zip(*rows)]
+        table = self.table()
+        widths = [max(map(len, column)) + 2 for column in zip(*table)]
         return lines([*(f'{name:17}{text}' for name, text in self.rows()), *(
             f'{row[0]:{widths[0]}}' + ''.join(map(str.rjust, row[1:], widths[1:]))
-            for row in rows)])
+            for row in table)])
 
-    def table(self, degrees: bool = False) -> list[list[str]]:
+    def table(self) -> list[list[str]]:
         """Return a table of the half-widths of the expected intervals, with a header."""
-        every = {'designed': self.expected, **self.usual, **self.others}
-        rows = [['parameter', 'value', *every, 'unit']]
-        for k, name in enumerate(self.expected.names):
-            factor, unit = scaled(quantity_of(name).unit, degrees)
-            rows.append([name, f'{factor * self.expected.values[k]:.5g}', *(
-                f'± {factor * one.half_widths[k]:.2g}' if one.is_known[k] else 'unknown'
-                for one in every.values()), unit])
-        return rows
+        return [['parameter', 'value', *self.every, 'unit'], *(
+            [name, f'{value:.5g}', *(
+                f'± {one.half_widths[k]:.2g}' if one.is_known[k] else 'unknown'
+                for one in self.every.values()), quantity_of(name).unit]
+            for k, (name, value) in enumerate(zip(self.expected.names, self.expected.values)))]
 
     def rows(self) -> Iterator[tuple[str, str]]:
         """Generate all facts but the table, each as a name and a text."""
@@ -204,49 +201,43 @@ class Design:
         if self.maneuvers.is_free:
             yield 'start', f'{numbers(self.flown.start.angular_velocity, 4)} rad/s, body axes'
         for topic, is_attitude, noise, hz in self.question.sensors:
-            yield 'sensor', f'{topic}: {"attitude" if is_attitude else "rates"}, noise ' \
-                f'{noise:g} {"rad" if is_attitude else "rad/s"} at {hz:g} Hz'
+            kind, unit = ('attitude', 'rad') if is_attitude else ('rates', 'rad/s')
+            yield 'sensor', f'{topic}: {kind}, noise {noise:g} {unit} at {hz:g} Hz'
 
-    def report(self, name: str, degrees: bool = False) -> Report:
+    def report(self, name: str) -> Report:
         """Return the report; `name` is that of the scene."""
-        times_ns, efforts = self.maneuvers.times_ns, self.flown.efforts
-        start_ns, end_ns = times_ns[[0, -1]].tolist()
-        panels = torque_panels(self.flown.logs, start_ns, end_ns)
-        for label, unit, values, names in (
-                *([('motor torques', 'N m', efforts.efforts, self._wheels)] if efforts else []),
-                ('angular velocity, body axes', 'rad/s',
-                 self.flown.propagate(at=times_ns).angular_velocity, RATES)):
-            panels.append(Panel(label, unit, [Curves.thinned(times_ns, values, names, start_ns)]))
-        header, *rows = self.table(degrees)
+        times_ns, wheels = self.maneuvers.times_ns, self.flown.named_wheels
+        header, *rows = self.table()
+        begin_ns, rates = int(times_ns[0]), self.flown.propagate(at=times_ns).angular_velocity
+        panels = [Panel('angular velocity, body axes', 'rad/s', [Curves.thinned(
+            times_ns, rates, RATES, begin_ns)])]
+        if not self.maneuvers.is_free:
+            panels.insert(0, Panel('torque', 'N m', [Curves.thinned(
+                times_ns, commands_of(self.flown), wheels.names if wheels else TORQUES,
+                begin_ns)]))
         return Report(f'{name}: a maneuver', self.headline, [*self.rows()], panels,
                       moving_body.of_motion(self.flown, times_ns), table=table(header, rows))
 
-    @property
-    def _wheels(self) -> tuple[str, ...]:
-        wheels = self.flown.named_wheels
-        return wheels.names if wheels else ()
-
-    def write(self, path: str | Path, scene: Scene) -> None:
+    def write(self, path: str, scene: Scene) -> None:
         """Write the torques and the motion, a reference for a controller, as MCAP or as .csv."""
-        times_ns, efforts = self.maneuvers.times_ns, self.flown.efforts
-        motion = self.flown.propagate(at=times_ns)
-        torques = efforts.efforts if efforts else self.flown.logs[0].torques
-        if Path(path).suffix.lower() == '.csv':
-            columns = 1e-9 * times_ns, torques, motion.attitude, motion.angular_velocity
+        times_ns, commands = self.maneuvers.times_ns, commands_of(self.flown)
+        motion, wheels = self.flown.propagate(at=times_ns), self.flown.named_wheels
+        if path.lower().endswith('.csv'):
+            columns = 1e-9 * times_ns, commands, motion.attitude, motion.angular_velocity
             with files.atomic_output(path, '.csv') as part:
-                np.savetxt(part, np.column_stack(columns), '%.17g', ',', comments='', header=(
-                    'time (s),tx (Nm),ty (Nm),tz (Nm),qx,qy,qz,qw,wx (rad/s),wy (rad/s),'
-                    'wz (rad/s)'))
+                np.savetxt(part, np.column_stack(columns), '%.17g', ',', header=_HEADING,
+                           comments='')
             return
-        topic, kind = (_WHEELS, messages.joint_commands(self._wheels)) if efforts else \
-            (f'/{scene.torque_topics[0].lstrip("/")}', messages.WRENCH)
+        topic, kind, values = (
+            '/wheel_command', messages.joint_states(wheels.names),
+            messages.joint_values(motion.wheel_speeds, commands)) if wheels else (
+            f'/{scene.torque_topics[0].lstrip("/")}', messages.WRENCH,
+            np.hstack([0.0 * commands, commands]))
+        kinds = {topic: kind, f'/reference{ATTITUDE}': messages.QUATERNION,
+                 f'/reference{ANGULAR_VELOCITY}': messages.VECTOR3}
+        frames = scene.body_frame, scene.space_frame, scene.body_frame
         with Writer(path) as writer:
-            writer.add_topic(topic, kind)
-            forces = np.zeros((len(torques), 0 if efforts else 3))
-            for stamp_ns, row in zip(times_ns.tolist(), np.hstack([forces, torques])):
-                writer.write(topic, stamp_ns, kind.encode(stamp_ns, scene.body_frame, row))
-            for name, of_topic in zip(_REFERENCE, (messages.QUATERNION, messages.VECTOR3)):
+            for name, of_topic in kinds.items():
                 writer.add_topic(name, of_topic)
-            writer.write_columns(times_ns, [
-                Column(_REFERENCE[0], scene.space_frame, motion.attitude),
-                Column(_REFERENCE[1], scene.body_frame, motion.angular_velocity)])
+            writer.write_columns(times_ns, [*map(Column, kinds, frames, (
+                values, motion.attitude, motion.angular_velocity))])
