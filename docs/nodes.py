@@ -344,7 +344,7 @@ def commands():
             f'\n```text\nusage: {command.name} {usage}\n```\n',
             *(line for line in options[command.name] if len(users[line]) == 1)))
             for command, usage, page in COMMANDS),
-        exits=table(('status', 'meaning'), EXITS))
+        exits='\n'.join(wrapped(f'- {status}: {meaning}', 2) for status, meaning in EXITS))
 
 
 def users_of(names):
@@ -427,13 +427,6 @@ def values(parameter):
     if high < LONGEST:
         return f'{low:g} to {high:g}'
     return {0: '>= 0', TINY: '> 0'}.get(low, f'>= {low:g}' if low > 0 else '')
-
-
-def table(head, rows):
-    """Return a table in Markdown."""
-    lines = [head, ['---'] * len(head), *rows]
-    return '\n'.join('| ' + ' | '.join(cell.strip().replace('|', '\\|') for cell in line) + ' |'
-                     for line in lines)
 
 
 if __name__ == '__main__':
