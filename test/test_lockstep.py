@@ -14,6 +14,7 @@
 
 """Lockstep: every torque gets a response, and a closed loop always has the same numbers."""
 
+from collections import Counter
 import itertools
 import subprocess
 
@@ -58,19 +59,39 @@ def controller(live, *arguments):
                              f'stop_after:={SLEW_SECONDS}', *arguments], env=live.environment)
 
 
-def closed_loop(tmp_path, domain, attitude):
+def lossy(send, count):
+    """Return a callback that passes messages on, except for one in 200, which it counts."""
+    def relay(data):
+        count['seen'] += 1
+        if count['seen'] % 200 == 100:
+            count['lost'] += 1
+        else:
+            send(data)
+    return relay
+
+
+def closed_loop(tmp_path, domain, attitude, is_lossy=False):
     """Let the controller turn the body; return the committed states and the accepted torques."""
     with LiveSession(TUMBLER, domain, *SLOWLY, *start_at(attitude)) as live:
-        process = controller(live)
+        counts, remaps = (Counter(), Counter()), ()
+        if is_lossy:
+            states = live.node.create_publisher(Odometry, 'relayed_odometry', 10)
+            live.node.create_subscription(Odometry, 'odometry', lossy(states.publish, counts[0]),
+                                          10, raw=True)
+            live.listen('relayed_torque', lossy(live.publish_bytes, counts[1]))
+            remaps = ('-r', 'odometry:=relayed_odometry', '-r', 'torque:=relayed_torque')
+        process = controller(live, *remaps)
         live.wait_until(lambda: process.poll() is not None, 'the controller to end')
         assert process.returncode == 0
+        assert not is_lossy or min(count['lost'] for count in counts) >= 3
         return finished(tmp_path, live)
 
 
 @pytest.mark.nightly
-def test_a_closed_loop_settles_and_gives_the_same_bits_every_time(tmp_path, domain):
-    first, second, negative = (closed_loop(tmp_path, domain, attitude)
-                               for attitude in (SLEW, SLEW, -SLEW))
+def test_a_closed_loop_settles_and_gives_the_same_bits_though_messages_are_lost(tmp_path, domain):
+    first = closed_loop(tmp_path, domain, SLEW)
+    second = closed_loop(tmp_path, domain, SLEW, is_lossy=True)
+    negative = closed_loop(tmp_path, domain, -SLEW)
     assert len(first.stamps_ns) == SLEW_SECONDS * 25
     np.testing.assert_array_equal(first.committed, second.committed)
     # q and -q are the same attitude, so the controller turns both the same way.
@@ -82,36 +103,6 @@ def test_a_closed_loop_settles_and_gives_the_same_bits_every_time(tmp_path, doma
     assert np.linalg.norm(rates[-1]) < 1e-4
     # The controller takes the short way: the remaining angle hardly grows at the beginning.
     assert to_go.max() < np.radians(180.0)
-
-
-@pytest.mark.nightly
-def test_a_closed_loop_survives_lost_messages(tmp_path, domain):
-    whole = closed_loop(tmp_path, domain, SLEW)
-    with LiveSession(TUMBLER, domain, *SLOWLY, *start_at(SLEW)) as live:
-        lost = {'torque': 0, 'state': 0}
-
-        def lossy(name, send):
-            seen = 0
-
-            def relay(data):
-                nonlocal seen
-                seen += 1
-                if seen % 200 == 100:
-                    lost[name] += 1
-                else:
-                    send(data)
-            return relay
-
-        states = live.node.create_publisher(Odometry, 'relayed_odometry', 10)
-        live.node.create_subscription(Odometry, 'odometry', lossy('state', states.publish), 10,
-                                      raw=True)
-        live.listen('relayed_torque', lossy('torque', live.publish_bytes))
-        process = controller(live, '-r', 'odometry:=relayed_odometry',
-                             '-r', 'torque:=relayed_torque')
-        live.wait_until(lambda: process.poll() is not None, 'the controller to end')
-        run = finished(tmp_path, live)
-    assert min(lost.values()) >= 3
-    np.testing.assert_array_equal(run.committed, whole.committed)
 
 
 def responses(live):

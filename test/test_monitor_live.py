@@ -28,7 +28,6 @@ import numpy as np
 import pytest
 from rclpy.clock import Clock as NodeClock
 from rclpy.duration import Duration
-from rclpy.parameter import Parameter
 from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.inference.monitor import Monitor, settings_of
@@ -351,37 +350,25 @@ def test_restarts_of_the_sources_and_of_the_monitor_are_no_error_of_the_model(tm
         session.check_levels()
 
 
-def test_a_message_without_a_stamp_has_the_time_at_which_the_middleware_received_it(context):
-    values = {**{f'inertia.{name}': 1.0 for name in ('ixx', 'iyy', 'izz')},
-              'monitor.measured': ['/gyro'], 'monitor.attitude_noise': 1e-3,
-              'monitor.rate_noise': 1e-3,
-              'qos_overrides./gyro.subscription.reliability': 'reliable'}
-    monitor = AttitudeMonitor(context=context, parameter_overrides=[
-        Parameter(name, value=value) for name, value in values.items()])
-    publisher = monitor.create_publisher(Vector3Stamped, '/gyro', 10)
-    inputs, until, stamps, times = monitor._inputs, time.monotonic() + PATIENCE, [], []
-    while not publisher.get_subscription_count():
-        assert time.monotonic() < until
-        inputs.problems()
-        inputs.intake.listen()
-    # No executor waits for these topics: the monitor polls them all at once.
-    polled = {subscription.topic_name for subscription in inputs.intake.subscriptions}
-    assert polled == {'/torque', '/gyro'}
-    assert not polled & {subscription.topic_name for subscription in monitor.subscriptions}
-    inputs.now_ns()
-    for _ in range(3):
+def test_a_message_without_a_stamp_has_the_time_at_which_the_middleware_received_it(tmp_path,
+                                                                                     domain):
+    stamps, times = [], []
+    with Monitored(tmp_path, domain, use_sim_time=False) as session:
+        inputs, gyro = session.tested._inputs, session.publishers['/gyro']
+        # No executor waits for these topics: the monitor polls them all at once.
+        polled = {subscription.topic_name for subscription in inputs.intake.subscriptions}
+        assert polled == {*TOPICS}
+        assert not polled & {each.topic_name for each in session.tested.subscriptions}
+        measure = inputs.monitor.measure
+        inputs.monitor.measure = lambda topic, stamps_ns, *found: (
+            stamps.extend(stamps_ns) or measure(topic, stamps_ns, *found))
+        for _ in range(3):
+            times.append(time.time_ns())
+            gyro.publish(messages.VECTOR3.encode(0, 'base_link', np.zeros(3)))
+            assert gyro.wait_for_all_acked(Duration(seconds=PATIENCE))
         times.append(time.time_ns())
-        publisher.publish(messages.VECTOR3.encode(0, 'base_link', np.zeros(3)))
-        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
-    times.append(time.time_ns())
-    measure = inputs.monitor.measure
-    inputs.monitor.measure = lambda topic, stamps_ns, *found: (
-        stamps.extend(stamps_ns) or measure(topic, stamps_ns, *found))
-    inputs.take()
-    assert len(stamps) == 3
-    assert all(first <= stamp <= last
-               for first, stamp, last in zip(times, stamps, times[1:]))
-    monitor.destroy_node()
+        session.wait_until(lambda: len(stamps) == 3, 'the messages')
+    assert all(first <= stamp <= last for first, stamp, last in zip(times, stamps, times[1:]))
 
 
 def test_torques_of_another_type_are_received(tmp_path, domain, stranger):
