@@ -16,11 +16,14 @@
 Extreme motions of bodies, each with an exact result of 50 digits, or of 25 under torque.
 
 `test_extremes.py` checks every solver against these results, and `benchmarks/extremes.py` prints
-the error of each solver.
+the error of each solver. `python test/scenes.py` writes the results under torque to a file,
+because it takes seconds to compute them.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+import json
+from pathlib import Path
 
 from mpmath import mp
 import numpy as np
@@ -30,6 +33,9 @@ from rigid_body_ros.propagation import SOLVERS
 import truth
 
 SECOND = 10 ** 9
+FILE = Path(__file__).with_name('truth_extremes.json')
+#: Results under torque, by name: attitudes, rates, and the effect of a change of the last digits.
+RESULTS = json.loads(FILE.read_text()) if FILE.exists() else {}
 FIXED_STEP = ('rk4', 'strang', 'explicit_euler')
 ULP = 2.0 ** -52
 #: Rounding error of the steps for a turn of one radian. The errors are random, so the error of the
@@ -109,9 +115,16 @@ class Scene:
         """Return the true attitudes and rates at `times_ns`."""
         tensor, attitude = self.body.inertia, self.start.attitude
         if self.torques:
-            return list(zip(*self._series(tensor, self.rates, self.log.torques)))
+            return [truth.exact(rows) for rows in RESULTS[self.name][:2]]
         return list(zip(*(truth.free(tensor, attitude, self.rates, time_ns)
                           for time_ns in self.times_ns.tolist())))
+
+    def computed(self):
+        """Return what `RESULTS` has of a motion under torque."""
+        attitudes, rates = zip(*self._series(self.body.inertia, self.rates, self.log.torques))
+        return [[[mp.nstr(x, 25) for x in row] for row in attitudes],
+                [[mp.nstr(x, 25) for x in row] for row in rates],
+                self._growth_under_torque(attitudes) if self.amplifies else 0.0]
 
     def _series(self, tensor, rates, torques, digits=25):
         between = truth.polynomials(self.log.times_ns, torques, self.interpolation)
@@ -171,9 +184,9 @@ class Scene:
 
         The changed numbers are the rates and, under torque, also the inertia and the torques.
         """
-        return self._growth_under_torque() if self.torques else self._growth_of_rates()
+        return RESULTS[self.name][2] if self.torques else self._growth_of_rates()
 
-    def _growth_under_torque(self):
+    def _growth_under_torque(self, attitudes):
         random = np.random.default_rng(0)
 
         def moved(values):
@@ -183,7 +196,7 @@ class Scene:
         states = self._series(upper + np.triu(upper, 1).T, moved(self.rates),
                               moved(self.log.torques), digits=8)
         return max(truth.chord(there, here.astype(float))
-                   for (there, _), here in zip(states, self.truth[0]))
+                   for (there, _), here in zip(states, attitudes))
 
     def _growth_of_rates(self):
         # The largest change for a perturbation at one of five instants.
@@ -338,3 +351,7 @@ def published():
 
 
 SCENES = (*bodies(), *sizes(), *times(), *unstable(), *published())
+
+if __name__ == '__main__':
+    FILE.write_text(json.dumps({scene.name: scene.computed() for scene in SCENES if scene.torques},
+                               indent=0))

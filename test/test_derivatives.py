@@ -20,7 +20,6 @@ import pytest
 from rigid_body_ros import (
     Actuator,
     BodyLog,
-    EffortLog,
     GravityGradient,
     Problem,
     propagate,
@@ -129,28 +128,6 @@ def test_derivatives_are_the_limits_of_differences(kind):
             assert error < 1e-9 * max(np.abs(difference).max(), 1e-3), name
 
 
-@pytest.mark.parametrize('name', ['inertia.ixz', 'initial_angular_velocity.x'])
-def test_wheels_that_turn_with_the_body_and_actuators_have_derivatives(name):
-    wheels = [Wheel('a', (1.0, 0.0, 0.0), 0.1, 20.0), Wheel('b', (0.6, 0.0, 0.8), 0.05)]
-    efforts = EffortLog([0, SECOND], [[0.1, -0.2], [0.0, 0.3]])
-    log = TorqueLog([0, SECOND], [[0.3, -0.2, 0.1], [0.0, 0.1, -0.4]])
-
-    def changed(change):
-        inertia, rates = FULL.copy(), np.array([0.5, -0.7, 0.9])
-        if name.startswith('inertia'):
-            inertia[0, 2] = inertia[2, 0] = inertia[0, 2] + change
-        else:
-            rates[0] += change
-        return Problem(RigidBody(inertia), State(0, angular_velocity=rates), log, wheels=wheels,
-                       efforts=efforts, actuator=Actuator(delay=0.35, limit=(0.25, 0.25, 0.25)))
-    at, step = [5 * SECOND], 2e-4
-    found = changed(0.0).derivatives(['inertia', 'start'], at=at)
-    rate = sum(weight / step * changed(places * step).propagate(at=at).angular_velocity
-               for places, weight in WEIGHTS.items())
-    np.testing.assert_allclose(found.angular_velocity[..., found.names.index(name)], rate,
-                               rtol=1e-10)
-
-
 def test_derivatives_do_not_depend_on_what_else_is_asked():
     at = np.array([9, 2, 5, 12]) * SECOND
     whole = problem().derivatives(NAMES, at=at)
@@ -193,23 +170,6 @@ def test_what_has_no_derivatives_is_named(names, expected):
         RigidBody(FULL), State(), wheels=[Wheel('a', (1.0, 0.0, 0.0), 0.1, friction=0.1)])
     with pytest.raises(ValueError, match=f'^derivatives: expected {expected}$'):
         given.derivatives(names, at=[5 * SECOND])
-
-
-@pytest.mark.parametrize('changes', [
-    None, BodyLog([SECOND], [RigidBody(0.7 * FULL)]),
-    BodyLog([SECOND], [RigidBody(0.7 * FULL)], 'momentum')])
-def test_a_delay_of_a_torque_that_jumps_is_one_that_grows(changes):
-    # Before its first sample, a log has no torque.
-    torques, at = [[0.3, -0.2, 0.1], [0.0, 0.4, 0.1]], [3 * SECOND, 0, SECOND, SECOND]
-
-    def motion(delay_ns):
-        return Problem(RigidBody(FULL), State(0), TorqueLog([delay_ns, SECOND + delay_ns],
-                                                            torques), changes=changes)
-    found = motion(0).derivatives(['torque_delay'], at=at).angular_velocity[..., 0]
-    one, two = ((motion(ns).propagate(at=at).angular_velocity
-                 - motion(0).propagate(at=at).angular_velocity) / (1e-9 * ns)
-                for ns in (100_000, 200_000))
-    np.testing.assert_allclose(found, 2.0 * one - two, rtol=1e-6)
 
 
 def test_a_lag_of_all_logs_delays_those_without_one():

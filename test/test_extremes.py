@@ -25,7 +25,8 @@ from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem, SOLVERS
 from rigid_body_ros.tradeoff.problem import Case, Reference
-from scenes import FIXED_STEP, FULL, FULL_RATES, SCENES
+from scenes import FIXED_STEP, FULL, FULL_RATES, RESULTS, SCENES
+import truth
 
 pytestmark = pytest.mark.slow
 
@@ -34,10 +35,6 @@ LONGEST_PHASE, MOST_STEPS = 2e5, 1e5
 TO_ROUNDING = ('auto', 'taylor', 'exact')
 
 scenes = pytest.mark.parametrize('scene', SCENES, ids=lambda scene: scene.name)
-#: Scenes whose truth takes seconds; `make test` runs only the rod with body torques.
-LONG = ('rod 1e-6, full tensor, linear body torque', 'rod 1e-4, full tensor, space torques',
-        'ruler 1e-6, full tensor, cubic body torque', 'plate, full tensor, body torques',
-        'plate, full tensor, linear space torque')
 free_scenes = pytest.mark.parametrize('scene', [scene for scene in SCENES if not scene.torques],
                                       ids=lambda scene: scene.name)
 
@@ -47,9 +44,7 @@ def affordable(scene):
             and (solver != 'taylor' or scene.phase < LONGEST_PHASE)]
 
 
-@pytest.mark.parametrize('scene', [
-    pytest.param(scene, id=scene.name, marks=[pytest.mark.nightly] * (scene.name in LONG))
-    for scene in SCENES])
+@scenes
 def test_motion_is_that_of_fifty_digits(scene):
     worst = {}
     for solver in affordable(scene):
@@ -63,7 +58,7 @@ def test_motion_is_that_of_fifty_digits(scene):
 
 
 def check_estimates(scene):
-    """Check the estimates of a trade-off; done here because the truth takes seconds to compute."""
+    """Check the estimates of a trade-off."""
     problem = Problem(scene.body, scene.start, scene.log)
     reference = Reference.of(Case(problem, scene.times_ns))
     apart, _ = scene.errors(reference.trajectory)
@@ -71,6 +66,16 @@ def check_estimates(scene):
     assert reference.floor <= (scene.growth if scene.amplifies else 10.0 * scene.bar)
     if scene.amplifies:
         assert 0.1 * scene.growth < reference.last_digits < 10.0 * scene.growth
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize('scene', [scene for scene in SCENES if scene.torques],
+                         ids=lambda scene: scene.name)
+def test_the_file_has_the_results_under_torque(scene):
+    *computed, growth = scene.computed()
+    for found, expected in zip(computed, scene.truth):
+        assert np.abs(truth.exact(found) - expected).max() < 1e-20 * np.abs(expected).max()
+    assert growth == pytest.approx(RESULTS[scene.name][2], rel=1e-6)
 
 
 @free_scenes

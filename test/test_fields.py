@@ -23,7 +23,7 @@ import fields
 from mpmath import mp
 import numpy as np
 import pytest
-from rigid_body_ros import GravityGradient, Problem, propagate, RigidBody, State, UniformField
+from rigid_body_ros import GravityGradient, Problem, RigidBody, State, UniformField
 from rigid_body_ros.mechanics import so3
 import terms
 from terms import SECOND
@@ -36,76 +36,6 @@ WEIGHT = UniformField((0.1, -0.2, 0.3), (0.4, -0.2, -2.5))
 DIPOLE = UniformField((-0.3, 0.4, 0.1), (1.5, 0.5, 0.25))
 ORBIT = GravityGradient(0.4, (1.0, 2.0, 3.0), (3.0, 0.0, -1.0))
 FIELDS = [WEIGHT, ORBIT, DIPOLE]
-
-
-# Closed forms
-
-
-#: Moments, kg m^2, about the directions away from the planet (yaw), along the orbit (roll) and
-#: across it (pitch), for a satellite that is stable about all three.
-YAW, ROLL, PITCH = 6.0, 10.0, 13.0
-
-
-def libration(name, rate):
-    """
-    Return the angular rate, rad/s, and the amplitudes about the three directions of a libration.
-
-    They hold for small angles (Hughes, chapter 9). The angle about the first direction is minus a
-    sine; the angles about the others are cosines.
-    """
-    if name == 'pitch':
-        return rate * np.sqrt(3.0 * (ROLL - YAW) / PITCH), np.array([0.0, 0.0, 1.0])
-    k1, k3 = (PITCH - YAW) / ROLL, (PITCH - ROLL) / YAW
-    squares = np.sort(np.roots([1.0, -(1.0 + 3.0 * k1 + k1 * k3), 4.0 * k1 * k3]))
-    ratio = np.sqrt(squares[('slow', 'fast').index(name)])
-    yaw = ratio * (1.0 - k3) / (k3 - ratio ** 2)
-    return rate * ratio, np.array([yaw, 1.0, 0.0]) / max(1.0, abs(yaw))
-
-
-@pytest.mark.parametrize(('name', 'order'), [('pitch', 3), ('slow', 2), ('fast', 2)])
-def test_small_librations_have_the_three_frequencies_of_an_orbit(name, order):
-    rate = 1.1e-3
-    orbit = GravityGradient(rate, (1.0, 2.0, 3.0), (3.0, 0.0, -1.0), 0)
-    frequency, amplitudes = libration(name, rate)
-    times_ns = np.linspace(0.0, 6.0 * np.pi / frequency * SECOND, 100).astype(np.int64)
-    phase = frequency * times_ns / SECOND
-    angles = amplitudes * np.array([-np.sin(phase), np.cos(phase), np.cos(phase)]).T
-    frame = so3.from_matrix(np.array([orbit.position, orbit.along, orbit.normal]).T)
-    of_orbit = so3.multiply(frame, so3.exp(np.outer(rate * times_ns / SECOND, [0.0, 0.0, 1.0])))
-    x, y, _ = angles[0]
-    rates = np.array([-rate * y - frequency * amplitudes[0], rate * x, 0.0])
-    sizes, errors = np.array([0.04, 0.02, 0.01, 0.005]), []
-    for size in sizes:
-        start = State(0, so3.multiply(frame, so3.exp(size * angles[0])),
-                      size * rates + [0.0, 0.0, rate])
-        motion = propagate(RigidBody.from_moments(YAW, ROLL, PITCH), start, at=times_ns,
-                           fields=[orbit])
-        found = so3.log(so3.multiply(so3.conjugate(of_orbit), motion.attitude))
-        errors.append(abs(found - size * angles).max())
-    assert abs(np.polyfit(np.log(sizes), np.log(errors), 1)[0] - order) < 0.1
-    assert errors[-1] < 0.1 * sizes[-1]
-
-
-@pytest.mark.parametrize('margin', [0.95, 0.999, 1.001, 1.05])
-def test_a_sleeping_top_is_stable_above_its_limit(margin):
-    # I3^2 w3^2 > 4 I1 m g l (Goldstein, section 5.7). A small tilt x + i y obeys
-    # I1 z'' - i I3 w3 z' - m g l z = 0.
-    across, along, weight = 0.2, 0.1, 0.3 * 9.81
-    spin = np.sqrt(margin * 4.0 * across * weight) / along
-    root = np.emath.sqrt((along * spin) ** 2 - 4.0 * across * weight)
-    one, other = (along * spin + np.array([root, -root])) / (2.0 * across)
-    end = 8.0 * 2.0 * across / abs(root)
-    times_ns = np.linspace(0.0, end * SECOND, 400).astype(np.int64)
-    tilt = 1e-9
-    motion = propagate(RigidBody.from_moments(across, across, along),
-                       State(0, so3.exp([0.0, tilt, 0.0]), (0.0, 0.0, spin)), at=times_ns,
-                       fields=[UniformField((0.0, 0.0, 0.3), (0.0, 0.0, -9.81))])
-    axis = so3.rotate(motion.attitude, np.broadcast_to([0.0, 0.0, 1.0], (400, 3)))
-    found, t = axis[:, 0] + 1j * axis[:, 1], times_ns / SECOND
-    expected = tilt * (other * np.exp(1j * one * t) - one * np.exp(1j * other * t)) / (other - one)
-    assert abs(found - expected).max() < 1e-5 * abs(expected).max()
-    stable = abs(found).max() < 1.001 * tilt / np.sqrt(abs(1.0 - 1.0 / margin))
-    assert stable == (margin > 1.0)
 
 
 # What is conserved

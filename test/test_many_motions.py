@@ -259,25 +259,6 @@ def test_gains_and_starts_and_wheels_of_each_run_give_the_same_bits():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('seed', range(3))
-def test_random_sources_and_rotors_give_the_same_bits(seed):
-    random = np.random.default_rng(seed)
-
-    def log(interpolations=('hold',), frames=('body',)):
-        count = int(random.integers(1, 200))
-        stamps = np.cumsum(random.integers(1, 40_000_000, count)) - 50_000_000
-        return TorqueLog(stamps, 0.1 * random.normal(size=(count, 3)), str(random.choice(frames)),
-                         str(random.choice(interpolations)))
-
-    several = [[log(('hold', 'hold', 'linear', 'cubic'), ('body', 'body', 'space'))
-                for _ in range(random.integers(3))] for _ in range(3)]
-    wheels, chosen = [None, log(), log()], random.integers(3, size=(2, COUNT))
-    check(*with_rotors(seed, bool(random.integers(2))), [several[k] for k in chosen[0]],
-          wheels=[wheels[k] for k in chosen[1]],
-          torque_timeout=float(random.choice([0.0, 0.007])))
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(('options', 'logs', 'own'), [
     ({}, [], False), ({}, random_log(), True), ({'torque_timeout': 0.07}, LOGS[0], False),
     ({'solver': 'taylor', 'max_step': 0.04}, [random_log(), LOGS[0]], True),

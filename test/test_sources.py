@@ -107,27 +107,6 @@ def test_an_absent_term_changes_no_bit_between_samples(frame, interpolation):
         np.testing.assert_array_equal(numbers(motion), numbers(plain))
 
 
-@pytest.mark.parametrize('count', [5, 1], ids=['changing', 'constant'])
-@pytest.mark.parametrize('offset', [0, 7 * SECOND // 2])
-@pytest.mark.parametrize('frames', [('body', 'space'), ('body', 'body'), ('space', 'space')])
-def test_sources_with_the_same_stamps_add_up_as_any_others_do(frames, offset, count):
-    # A sample after the end gives one source a further stamp.
-    random = np.random.default_rng(offset + 1)
-    stamps = EPOCH_NS + np.arange(0, 5) * SECOND
-    torques = 0.1 * random.normal(size=(3, 5, 3))
-    last, at = stamps[-1] + SECOND, stamps[-1] + np.arange(3) * SECOND // 4
-    one, two = (TorqueLog(stamps, *pair) for pair in zip(torques, frames))
-    two = two.rows(slice(count))
-    other = TorqueLog(np.append(two.times_ns, last), np.vstack([two.torques, [[0, 0, 1]]]),
-                      frames[1])
-    start = State(EPOCH_NS + offset, START.attitude, START.angular_velocity, (0.2, 0.4, -0.3))
-    for wheels in (None, TorqueLog(stamps, torques[2]), TorqueLog(stamps[:1], torques[2, :1])):
-        for sources in ([one, two], [two, one]):
-            found, expected = (propagate(PLAIN, start, logs, at=at, wheels=wheels) for logs in (
-                sources, [other if log is two else log for log in sources]))
-            np.testing.assert_array_equal(numbers(found), numbers(expected))
-
-
 def test_each_source_times_out_on_its_own():
     # The second source times out at 0.5 s; from there on, the first one acts alone.
     first = TorqueLog(EPOCH_NS + np.arange(0, 20) * SECOND // 10, np.full((20, 3), [0.5, 0, 0]))

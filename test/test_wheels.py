@@ -112,19 +112,6 @@ def test_friction_takes_energy_until_the_wheels_turn_with_the_body():
     assert abs(momentum - momentum[0]).max() < 4e-15 * np.linalg.norm(momentum[0])
 
 
-def test_a_wheel_along_the_axis_of_rotation_slows_as_an_exponential():
-    wheel = Wheel('w', (0, 0, 1), 0.1, 50.0, friction=0.03)
-    body = RigidBody(np.diag([2.0, 3.0, 4.0]))
-    at = np.arange(0, 30 * SECOND, SECOND)
-    motion = propagate(body, State(), at=at, wheels=[wheel], efforts=EffortLog([0], [[0.3]]))
-    rate = 0.03 * (1.0 / 0.1 + 1.0 / 3.9)
-    last = 0.3 / 0.03  # where friction balances the motor
-    expected = last + (50.0 - last) * np.exp(-rate * at * 1e-9)
-    np.testing.assert_allclose(motion.wheel_speeds[:, 0], expected, rtol=2e-15)
-    np.testing.assert_allclose(motion.angular_velocity[:, 2], 0.1 * (50.0 - expected) / 4.0,
-                               rtol=2e-14, atol=1e-15)
-
-
 def test_no_friction_changes_no_bit_and_a_little_is_close():
     efforts, at = commands(np.random.default_rng(11)), np.arange(0, 4 * SECOND, SECOND // 7)
     without = propagate(BODY, START, at=at, wheels=LIMITED, efforts=efforts)
