@@ -141,7 +141,7 @@ OPTIONAL = [
           'simulated time.'),
 ]
 #: The names under which the page lists the profiles that several topics share.
-PROFILES = {TORQUE: '*torque*', STATE: '*state*', LOG: '*log*'}
+PROFILES = {TORQUE: '; *torque*', STATE: '', LOG: '; *log*'}
 #: The causes of rejection of a torque, and their meanings.
 CAUSES = {
     'malformed': 'The bytes are not a message of the type, or the stamp is invalid; on '
@@ -188,13 +188,12 @@ Without `ros2`, as after `pip install '.[ros]'`, begin with `attitude_node`.
 `attitude_lifecycle_node` is [the managed version](node_howto.md#attitude_lifecycle_node).
 
 Names without a leading slash are relative to the namespace, and can be remapped
-(`-r torque:=/wrench`). Their quality of service (QoS) is one of these, or as listed. [Parameters
-such as `qos_overrides./torque.subscription.depth`](
-robot_stack.md#how-do-i-change-the-quality-of-service) override history, depth and reliability.
+(`-r torque:=/wrench`). The quality of service (QoS), which [parameters
+override](robot_stack.md#how-do-i-change-the-quality-of-service), is
 
 - *torque*: {torque}
-- *state*: {state}
 - *log*: {log}
+- where nothing is listed: {state}
 
 ### Subscribes
 
@@ -389,8 +388,8 @@ def line_of(group):
 
 def topics(listed):
     """Return a list of topics in Markdown."""
-    return '\n'.join(wrapped(f'- `{topic.name}` ({topic.kind.replace("/msg/", "/")}; '
-                             f'{PROFILES.get(topic.qos, topic.qos)}): {topic.meaning}', 2)
+    return '\n'.join(wrapped(f'- `{topic.name}` ({topic.kind.replace("/msg/", "/")}'
+                             f'{PROFILES.get(topic.qos, f"; {topic.qos}")}): {topic.meaning}', 2)
                      for topic in listed)
 
 
