@@ -257,7 +257,7 @@ def test_the_node_alone_uses_its_arguments(listener, mode):
                   'name:=attitude', 'torque:=/wrench', 'remappings:=attitude:=q odometry:=odom',
                   'log_level:=error', f'mode:={mode}', 'publish_rate:=7',
                   'frame_prefix:=1') as process:
-        assert first_attitude(listener, '/station/q').header.frame_id == '1eci'
+        assert first_attitude(listener, '/station/q').header.frame_id == 'eci'
         wait_for(lambda: listener.count_subscribers('/wrench') == 1)
         wait_for(lambda: ('attitude', '/station') in listener.get_node_names_and_namespaces())
         assert listener.count_publishers('/station/odom') == 1

@@ -16,22 +16,19 @@
 
 import ast
 from collections import Counter
-from contextlib import contextmanager
 from importlib import metadata
 from importlib.util import find_spec
 import os
-from pathlib import Path
 import re
 import shlex
 import shutil
 import signal
 import subprocess
 import sys
-from tempfile import TemporaryDirectory
 import textwrap
 import xml.etree.ElementTree as ElementTree
 
-from conftest import at_night, CONFIG, locked, NAME, NEEDS, program, RECORDINGS, ROOT
+from conftest import at_night, CONFIG, NAME, NEEDS, program, RECORDINGS, ROOT
 import pytest
 import rigid_body_ros
 from rigid_body_ros import messages, recording
@@ -343,30 +340,3 @@ def test_a_class_name_is_defined_once():
         names.update(re.findall(r'^ *class (\w+)[(:]', path.read_text(encoding='utf-8'),
                                 re.MULTILINE))
     assert sorted(name for name, count in names.items() if count > 1) == []
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason='only root can be another user')
-@pytest.mark.parametrize('first', [0, 65534])
-def test_users_of_one_machine_lock_the_same_domains(first):
-    with TemporaryDirectory() as folder:
-        os.chmod(folder, 0o1777)
-        path = Path(folder) / 'rigid_body_ros.1.lock'
-        with user(first), locked(path):
-            pass
-        with user(65534 - first), locked(path), user(first), pytest.raises(BlockingIOError), \
-                locked(path):
-            pass
-
-
-@contextmanager
-def user(number):
-    """Act as another user within the context."""
-    before, mask = os.geteuid(), os.umask(0o077)
-    os.seteuid(0)
-    os.seteuid(number)
-    try:
-        yield
-    finally:
-        os.seteuid(0)
-        os.seteuid(before)
-        os.umask(mask)
