@@ -216,6 +216,16 @@ def test_of_a_damaged_chunk_nothing_is_used_but_all_before_it(tmp_path, compress
     assert found.rows() in (ALONE.rows()[:before], ALONE.rows()[:before] + ALONE.rows()[within:])
 
 
+def test_a_schema_that_cannot_be_read_is_damage(tmp_path):
+    path = mcap(tmp_path, SENT['alone'], use_chunking=False, **UNINDEXED)
+    data = path.read_bytes()
+    start = next(start for code, start, _ in records(data) if code == Opcode.SCHEMA)
+    path.write_bytes(data[:start + 11] + b'\xff' * 4 + data[start + 15:])  # the size of its name
+    told, rows = outcome(path)
+    assert f'damaged at byte {start}: ' in told
+    assert not rows
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(('storage', 'compression', 'harm'), [
     ('MCAP', 'NONE', 'cut'), ('MCAP', 'MESSAGE', 'emptied'), ('MCAP', 'FILE', 'removed'),

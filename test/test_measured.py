@@ -467,13 +467,16 @@ def test_a_recorded_motion_is_compared(run, tmp_path, bag, scene, name):
 
 def shifted(sensor, count, shift_ns):
     few = sensor.rows(np.arange(count))
-    return replace(few, stamps_ns=few.stamps_ns + shift_ns)
+    stamps_ns = np.zeros(count, int) if shift_ns is None else few.stamps_ns + shift_ns
+    return replace(few, stamps_ns=stamps_ns)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('count', 'shift_ns', 'arguments', 'message'), [
     (3, 0, (), '/pose: expected at least 4 messages with a finite attitude'),
     (9, 1000 * SECOND, (), '/pose: expected measurements during the motion'),
+    (9, None, (), 'expected stamps in the headers, found 0 in 9 of 9 messages; use --time-source '
+     'log'),
     (9, 0, ('--measured', '/mocap'), 'expected a topic /mocap, found /torque (geometry_msgs/msg/'),
     (9, 0, ('--measured', '/torque'),
      '/torque: expected geometry_msgs/msg/QuaternionStamped or'),

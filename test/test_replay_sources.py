@@ -224,7 +224,7 @@ def test_fields_alone_conserve_their_integrals(tmp_path, written, lines, laws, c
 
 @pytest.mark.slow
 def test_pages_and_plots_show_the_torque_of_fields(tmp_path, written, monkeypatch):
-    path, config = write(tmp_path / 'one.mcap', ['/control']), written(*PIVOT, ORBIT)
+    path, config = write(tmp_path / 'one.mcap', ['/control']), written(*PIVOT, ORBIT, ROTORS)
     drawn = []
     monkeypatch.setattr(picture, 'Figure', lambda *given, **more: drawn.append(
         figure := Figure(*given, **more)) or figure)
@@ -239,7 +239,7 @@ def test_pages_and_plots_show_the_torque_of_fields(tmp_path, written, monkeypatc
     panels = {panel['label']: panel for panel in data['panels']}
     shown, = panels['torque of the fields, body axes']['curves']
     np.testing.assert_allclose(array(shown['low'], '<f4').reshape(3, -1), torque.T, atol=1e-7)
-    assert 'torque, body axes' in panels
+    assert {'torque, body axes', 'rotor momentum, body axes'} < {*panels}
     # The torque of the animated body includes everything that acts.
     np.testing.assert_allclose(array(data['body']['torque'], '<f4').reshape(-1, 3),
                                torque + values('/control'), atol=1e-7)
