@@ -186,6 +186,21 @@ def test_a_topic_that_does_not_fit_is_named(topic, message):
         recording.read(RECORDINGS / 'iss.mcap', topic)
 
 
+def test_if_no_topic_fits_all_topics_are_listed_with_their_types(tmp_path):
+    path = tmp_path / 'other.mcap'
+    with open(path, 'wb') as stream:
+        writer = McapWriter(stream)
+        writer.start('ros2')
+        writer.register_channel('/imu', 'cdr', writer.register_schema(
+            'sensor_msgs/msg/Imu', 'ros2msg', b''))
+        writer.register_channel('/raw', 'cdr', 0)
+        writer.finish()
+    with pytest.raises(InputError, match=re.escape('WrenchStamped or geometry_msgs/msg/Wrench, '
+                                                   'found /imu (sensor_msgs/msg/Imu), '
+                                                   '/raw (no type)')):
+        recording.read(path)
+
+
 def test_a_message_that_is_not_what_its_schema_says_is_named(tmp_path):
     path = tmp_path / 'short.mcap'
     with recording.Writer(path) as writer:

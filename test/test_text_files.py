@@ -114,9 +114,10 @@ def test_a_line_that_is_none_is_refused(tmp_path, text):
 
 
 @pytest.mark.slow
-def test_an_exponent_costs_nothing(tmp_path):
-    path, lines = tmp_path / 'torque.csv', '1e-9999999,0,0,0\n0e9999999,0,0,0\n'
-    path.write_text(lines * 5000 + '1,0,0,0')
+@pytest.mark.parametrize('line', ['1e-9999999,0,0,0', '0e9999999,0,0,0'])
+def test_an_exponent_costs_nothing(tmp_path, line):
+    path = tmp_path / 'torque.csv'
+    path.write_text(f'{line}\n' * 10_000 + '1,0,0,0')
     assert outcome(path) == ''
 
 
