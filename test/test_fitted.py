@@ -21,12 +21,10 @@ from measurements import messages_of, torque_messages
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import RigidBody, State
 from rigid_body_ros.commands import main
 from rigid_body_ros.ensemble.dispersions import load_fitted, UNITS
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.recording import read_problem
 from rigid_body_ros.scene import Scene
 
 NAMES = ('inertia.ixx', 'initial_angular_velocity.y', 'torque_gain', 'torque_bias.z')
@@ -216,23 +214,6 @@ def test_the_true_motion_ends_within_the_spread(spread):
     distance = errors.mean(0) @ np.linalg.solve(np.cov(errors.T), errors.mean(0))
     assert 0.0 < distance < 16.3  # 99.9 % of chi-square with three degrees of freedom
     assert np.sqrt(np.trace(np.cov(errors.T))) < 0.01
-
-
-@pytest.mark.slow
-def test_a_row_has_the_bits_of_propagate_for_its_values(fit, spread):
-    problem = read_problem(fit / 'in.mcap', fit / 'fitted.yaml')
-    (log,), start = problem.logs, problem.start
-    for row in parquet.read_table(spread / 'runs.parquet').to_pylist()[::40]:
-        def numbers(prefix, axes='xyz', row=row):
-            return [row[f'{prefix}{axis}'] for axis in axes]
-        body = RigidBody.from_moments(*numbers('inertia.i', ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
-        begin = State(start.time_ns, numbers('initial_attitude.', 'xyzw'),
-                      numbers('initial_angular_velocity.'))
-        bias = type(log)([start.time_ns], [numbers('torque_bias.')])
-        motion = problem.replaced(body=body, start=begin, log=[log, bias]).propagate(
-            at=log.times_ns[-1:])
-        assert numbers('attitude.', 'xyzw') == motion.attitude[0].tolist()
-        assert numbers('angular_velocity.') == motion.angular_velocity[0].tolist()
 
 
 @pytest.mark.slow
