@@ -35,7 +35,6 @@ from rigid_body_ros import (
     Wheel,
 )
 from rigid_body_ros.common.arrays import entries
-from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.inference.horizons import horizon
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.mechanics import so3
@@ -255,6 +254,7 @@ def test_a_wrong_torque_is_named_under_fields():
     ({'stamps_ns': np.zeros(2000, int)}, '/imu: expected increasing stamps'),
     ({'stamps_ns': np.arange(2000.0)}, '/imu: stamps: expected integer nanoseconds'),
     ({'attitude': None, 'angular_velocity': None}, '/imu: expected attitudes or angular'),
+    ({'stamps_ns': np.arange(2000)}, '/imu: expected measurements during the motion'),
     ({'angular_velocity': np.full((2000, 3), 2e9)}, r'at most 1e\+09 rad/s, found 2e\+09'),
     ({'attitude': np.zeros((2000, 3))}, r'/imu: attitude: expected finite numbers of shape '),
     ({'attitude': np.ones((2000, 4))}, '/imu: attitude: expected unit quaternions, found norms'),
@@ -285,9 +285,3 @@ def test_what_an_inertia_lacks_is_named_beside_wheels_with_names():
 def test_invalid_arguments_are_rejected(options, message):
     with pytest.raises(ValueError, match=message):
         compared(noisy(), **options)
-
-
-def test_measurements_before_the_start_are_rejected():
-    sensor = noisy()
-    with pytest.raises(InputError, match='/imu: expected measurements during the motion'):
-        compared(replace(sensor, stamps_ns=sensor.stamps_ns - 10 ** 12))
