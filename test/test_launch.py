@@ -233,9 +233,12 @@ def response(listener, kind, service, **request):
     """Call a service, and return its response."""
     client = listener.create_client(kind, service)
     assert client.wait_for_service(PATIENCE)
-    future = client.call_async(kind.Request(**request))
     executor = SingleThreadedExecutor(context=listener.context)
-    rclpy.spin_until_future_complete(listener, future, executor, PATIENCE)
+    for _ in range(PATIENCE // 5):  # DDS may lose a response to a client that is just discovered
+        future = client.call_async(kind.Request(**request))
+        rclpy.spin_until_future_complete(listener, future, executor, 5)
+        if future.done():
+            break
     executor.shutdown()
     return future.result()
 
