@@ -91,19 +91,6 @@ def jacobian(given, inputs, at):
     return pull(np.zeros((3, 1, 4)), np.eye(3)[:, None])
 
 
-def test_gradients_by_torques_add_up_to_those_by_bias_and_gains():
-    given, at = problem(start_ns=0), 12 * SECOND
-    torques = given.logs[0].torques
-    found = jacobian(given, {'torques': torques}, at)['torques']
-    known = given.replaced(log=given.logs[0]).derivatives(['torque_bias'], at=[at])
-    alone = jacobian(given.replaced(log=given.logs[0]), {'torques': torques}, at)['torques']
-    np.testing.assert_allclose(alone.sum(axis=1), known.angular_velocity[0], rtol=1e-12)
-    known = given.replaced(log=given.logs[0]).derivatives(['torque_gains'], at=[at])
-    np.testing.assert_allclose((alone * torques).sum(axis=1), known.angular_velocity[0],
-                               rtol=1e-12)
-    assert np.abs(found - alone).max() > 0.01
-
-
 @pytest.mark.parametrize(('damping', 'rates', 'torque'), [
     (0.5, (0.5, -0.7, 0.9), 0.2), (0.0, (0.5, -0.7, 0.9), 0.2), (0.0, (1e-6, 3.0, 1e-6), 0.0)],
     ids=['damped', 'tumbling', 'unstable'])

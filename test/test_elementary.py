@@ -22,13 +22,12 @@ import sys
 
 from conftest import at_night
 import mpmath
-from mpmath import mp, mpf
+from mpmath import mpf
 import numpy as np
 import pytest
 from rigid_body_ros.engine import elementary as arrays
 from rigid_body_ros.engine._compiled import LEVELS
 from rigid_body_ros.kernels import elementary
-from rigid_body_ros.kernels import elementary_tables as tables
 
 pytestmark = pytest.mark.usefixtures('fifty_digits')
 
@@ -220,22 +219,6 @@ def test_a_subnormal_arctangent_rounds_down_half_way_between_doubles():
         arrays.arctangents([3 * least, 5 * least, -7 * least, 3 * least],
                            [2.0, 2.0, 2.0, 1.9]),
         [least, 2 * least, -3 * least, 2 * least])
-
-
-def test_tables_hold_32_digits():
-    step = mp.pi / tables.STEPS
-    for table, function, count in ((tables.SINES, lambda k: mpmath.sin(k * step), 256),
-                                   (tables.ARCTANGENTS, lambda k: mpmath.atan(mpf(k) / 128), 129)):
-        assert len(table) == count
-        for k, pair in enumerate(table):
-            assert abs(joined(pair) - function(k)) < 1e-32
-    for pair, right in ((tables.PI, mp.pi), (tables.LN_2, mpmath.ln2),
-                        (tables.LOG10_2, mpmath.log10(2)), (tables.LOG10_E, 1 / mpmath.ln10)):
-        assert abs(joined(pair) / right - 1) < 1e-32
-    assert abs(sum(map(mpf, tables.STEP)) / step - 1) < 1e-48
-    with mp.workdps(400):
-        found = sum(mpf(part) / mpf(2) ** (24 * k) for k, part in enumerate(tables.TURN_PARTS))
-        assert 0 < 128 / mp.pi - found < mpf(2) ** (-24 * 51)
 
 
 @pytest.mark.slow

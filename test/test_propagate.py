@@ -180,16 +180,6 @@ class TestPropagator:
         end = EPOCH_NS + 9 * SECOND
         assert same(propagator.at(end), propagate(BODY, START, log, at=[end]), 0)
 
-    @pytest.mark.parametrize('history', [0.0, 1.0])
-    def test_of_equal_stamps_the_last_to_come_counts(self, history):
-        propagator = Propagator(BODY, START, history=history)
-        for torque in ([9, 9, 9], [0, 0, 0], [0, 0.5, 0]):
-            assert propagator.apply(EPOCH_NS + SECOND, torque)
-            propagator.at(EPOCH_NS + 2 * SECOND)
-        log = TorqueLog([EPOCH_NS + SECOND], [[0, 0.5, 0]])
-        end = EPOCH_NS + 3 * SECOND
-        assert same(propagator.at(end), propagate(BODY, START, log, at=[end]), 0)
-
     def test_memory_does_not_grow_with_the_stream(self):
         propagator = Propagator(BODY, START, history=0.05)
         for number in range(2000):

@@ -202,16 +202,6 @@ def test_rotors_follow_the_measured_momentum():
     assert np.all(np.abs(motion.rotor_momentum - momenta[rows]) <= 2.0 * ulps)
 
 
-def test_rotors_follow_straight_lines_between_measured_momenta():
-    stamps, momenta = measured(50)
-    wheels = TorqueLog.from_momentum(stamps, momenta)
-    at = spread(stamps, 500)
-    motion = propagate(RigidBody(np.diag([10.0, 20.0, 25.0])),
-                       State(int(stamps[0]), rotor_momentum=momenta[0]), at=at, wheels=wheels)
-    expected = [np.interp(at - stamps[0], stamps - stamps[0], column) for column in momenta.T]
-    np.testing.assert_allclose(motion.rotor_momentum, np.transpose(expected), atol=1e-15)
-
-
 def test_measured_momenta_may_come_in_any_order():
     wheels = TorqueLog.from_momentum([2 * SECOND, 0, 2 * SECOND, SECOND],
                                      [[9, 9, 9], [0, 0, 1], [0, 4, 1], [1, 0, 1]])

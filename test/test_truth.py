@@ -71,14 +71,6 @@ def test_a_turn_ends_on_the_other_cover():
     assert truth.chord(q, -np.array(START)) < 1e-45
 
 
-def test_momentum_is_what_a_torque_in_space_adds():
-    torque = (0.02, -0.01, 0.03)
-    q, w = truth.series(FULL, START, (0, 0, 0), [(5 * SECOND, torque, True)])[-1]
-    with mp.workdps(70):
-        momentum = truth.rotate(q, truth.exact(FULL) @ w)
-        assert apart([momentum], [5 * truth.exact(torque)]) < 1e-50
-
-
 @pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
 def test_polynomials_are_those_of_a_log(interpolation):
     random = np.random.default_rng(3)
