@@ -163,8 +163,9 @@ def test_what_a_killed_replay_wrote_can_be_read(whole, output):
 
 
 @pytest.mark.parametrize(('number', 'stage', 'moment'), [
-    (signal.SIGINT, 'writing', 0.5), (signal.SIGTERM, 'writing', 0.1),
-    *at_night((signal.SIGINT, 'listening', 0.1), (signal.SIGTERM, 'listening', 0.5))])
+    (signal.SIGTERM, 'writing', 0.1), *at_night(
+        (signal.SIGINT, 'writing', 0.5), (signal.SIGINT, 'listening', 0.1),
+        (signal.SIGTERM, 'listening', 0.5))])
 def test_an_interrupted_replay_says_so(whole, output, number, stage, moment):
     status, words = interrupt(whole, output, number, stage, moment)
     check(whole, output)
