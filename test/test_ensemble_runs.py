@@ -90,7 +90,7 @@ def test_runs_have_the_bits_of_propagate(monkeypatch, vary, logs, wheels, values
     assert found.times.tolist() == [0.0, 1e-9, 333_333_333e-9, 1.0, 2.0]
     nominal = found.problem.propagate(at=SEEN)
     np.testing.assert_array_equal(found.nominal_motion, states(nominal))
-    monkeypatch.delattr(Ensemble, '_one_by_one')  # all runs are computed at once
+    monkeypatch.delattr(Ensemble, 'solved')  # all runs are computed at once
     for row in rows(found, 123_456_700, 123_456_720):
         assert row['status'] == 'ok'
         own = found.recorded(found.applied(np.array([row['run']])), 0) if NOISE in vary else None
