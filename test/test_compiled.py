@@ -379,6 +379,7 @@ def test_kernels_of_which_comments_changed_are_those_that_were_compiled(copied):
     assert info == str(build_info())
 
 
+@pytest.mark.slow
 def test_an_installation_that_is_not_compiled_says_how_it_is(copied):
     for module in (copied / 'engine').glob('_compiled*'):
         module.unlink()

@@ -38,6 +38,7 @@ NAMES = ['inertia', 'start', 'torque_gains', 'torque_bias', 'torque_delay', 'dam
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', CASES)
 def test_derivatives_have_the_digits_of_a_double(name):
     case = CASES[name]
@@ -111,6 +112,7 @@ def problem(component='', change=0.0, kind='hold wheels'):
                    changes=changes if 'change' in kind else None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('kind', KINDS)
 def test_derivatives_are_the_limits_of_differences(kind):
     at, step = np.array([2, 4, 6, 9]) * SECOND + SECOND // 9, 2e-4

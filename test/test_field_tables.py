@@ -52,6 +52,7 @@ SINCE_1970 = 'because {} is then a time since 1970'
 TOO_FAST = 'because samples {} s apart could not follow the motion'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('times', 'note'), [
     (STAMPS, 'ns is assumed, ' + SINCE_1970.format(START_NS)),
     (STAMPS // 10 ** 3, 'us is assumed, ' + SINCE_1970.format(START_NS // 10 ** 3)),
@@ -127,6 +128,7 @@ def test_a_joined_table_has_empty_cells_and_several_rates(run, tmp_path, blank, 
     assert 'account' not in shown
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('separator', 'point'), [(';', ','), (';', '.'), ('\t', '.'),
                                                   ('\t', ','), (',', '.')])
 @pytest.mark.parametrize('quote', ['', '"'])

@@ -58,7 +58,7 @@ def test_convention_is_scipys():
 @pytest.mark.parametrize('half_turn', [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)])
 def test_a_matrix_gives_its_quaternion_back(half_turn):
     # Also close to each axis, where three of the four elements lose their digits.
-    for q in [*Q[0], *so3.normalize(half_turn + 1e-9 * Q[1])]:
+    for q in [*Q[0][:50], *so3.normalize(half_turn + 1e-9 * Q[1][:50])]:
         assert so3.angle_between(so3.from_matrix(so3.matrix(q)), q) < 4 * EPS
 
 
