@@ -192,6 +192,22 @@ def commit(live, count):
     live.wait_until(lambda: len(live.received[COMMITTED]) == count, 'all states')
 
 
+def check_late_torques(tmp_path, live, count, rate):
+    """Send torques late and out of order; check that their replay has the bits of the states."""
+    torques = late_torques(live.now_ns(), count, rate)
+    publish_when_due(live, torques)
+    live.wait_until(lambda: len(live.torques) == count, 'all torques')
+    stamps = np.unique([torque.stamp_ns for torque in torques])
+    commit(live, 1 + len(stamps))
+    run = finished(tmp_path, live)
+    *accepted, _ = run.accepted.stamps_ns
+    assert sorted(accepted) == sorted(torque.stamp_ns for torque in torques)
+    assert np.any(np.diff(accepted) < 0)  # they did come out of order
+    np.testing.assert_array_equal(run.stamps_ns[1:1 + len(stamps)], stamps)
+    # The start state comes first, at the time in the dumped parameters.
+    assert run.stamps_ns[0] == scene.load(tmp_path / 'live.yaml').start.time_ns
+
+
 def run_clock(live, start_ns, until=lambda: False, seconds=100):
     """Advance simulated time, or keep it at the start until a condition holds."""
     for tick in range(seconds * 100 + 1):

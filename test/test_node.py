@@ -20,13 +20,11 @@ import time
 from conftest import at_night, RECORDINGS, SECOND
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
 from live import (
-    commit,
+    check_late_torques,
     decoded,
     finished,
     get_parameters,
-    late_torques,
     PATIENT,
-    publish_when_due,
     run_clock,
     Session,
     set_parameter,
@@ -53,18 +51,7 @@ pytestmark = pytest.mark.ros
 
 def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *RELIABLE, *PATIENT) as live:
-        torques = late_torques(live.now_ns(), 400, rate=200)
-        publish_when_due(live, torques)
-        live.wait_until(lambda: len(live.torques) == len(torques), 'all torques')
-        stamps = np.unique([torque.stamp_ns for torque in torques])
-        commit(live, 1 + len(stamps))
-        run = finished(tmp_path, live)
-    *accepted, _ = run.accepted.stamps_ns
-    assert sorted(accepted) == sorted(torque.stamp_ns for torque in torques)
-    assert np.any(np.diff(accepted) < 0)  # they did come out of order
-    np.testing.assert_array_equal(run.stamps_ns[1:1 + len(stamps)], stamps)
-    # The start state comes first, at the time in the dumped parameters.
-    assert run.stamps_ns[0] == scene.load(tmp_path / 'live.yaml').start.time_ns
+        check_late_torques(tmp_path, live, 400, rate=200)
 
 
 def test_what_is_published_between_stamps_is_the_motion_at_those_times(domain):
