@@ -34,7 +34,7 @@ from rigid_body_ros.commands import ensemble as ensemble_command
 from rigid_body_ros.commands.arguments import load_scene
 
 #: Number of examples; a thorough run sets 20 000.
-EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '300'))
+EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '200'))
 #: Numbers of examples for each kind of file that a user writes.
 WRITTEN = [max(1, EXAMPLES // 9), *at_night(2000)]
 
