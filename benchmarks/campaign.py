@@ -40,11 +40,12 @@ from rigid_body_ros import (  # noqa: E402
     State,
     TorqueLog,  # noqa: E402
 )
+from rigid_body_ros.common.arrays import ENTRIES  # noqa: E402
 from simulated import INERTIA, LITTLE, named, recordings, RIGHT, WRONG  # noqa: E402
+from tables import header, row  # noqa: E402
 
 #: The true inertia by component name.
-TRUE = {f'inertia.i{name}': float(INERTIA['xyz'.index(name[0]), 'xyz'.index(name[1])])
-        for name in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')}
+TRUE = {f'inertia.i{name}': float(INERTIA[place]) for name, place in ENTRIES.items()}
 #: Minimum number of the six intervals that must cover the true value.
 ENOUGH = 5
 
@@ -147,10 +148,13 @@ def is_of(group, one):
 def shares(levels, found):
     """Print how often the verdict is right, and how useful intervals are, at each noise level."""
     columns = [_shares([one for one in found if one.level == level]) for level in levels]
-    print(f'\n| share | {" | ".join(f"noise {level:g}" for level in levels)} |\n'
-          f'|---|{"---|" * len(levels)}')
+    print('', *_header('share', levels), sep='\n')
     for name in columns[0]:
-        print(f'| {name} | {" | ".join(column[name] for column in columns)} |')
+        print(row(name, *(column[name] for column in columns)))
+
+
+def _header(name, levels):
+    return header(name, *(f'noise {level:g}' for level in levels))
 
 
 def _shares(found):
@@ -188,12 +192,11 @@ def table(title, kinds, levels, found):
     """Print a table of the outcomes of each kind at each noise level."""
     if not kinds:
         return
-    print(f'\n### {title}\n\n| kind | {" | ".join(f"noise {level:g}" for level in levels)} |\n'
-          f'|---|{"---|" * len(levels)}')
+    print('', f'### {title}', '', *_header('kind', levels), sep='\n')
     for kind in kinds:
-        cells = [cell([one for one in found if (one.name, one.level) == (kind.name, level)])
-                 for level in levels]
-        print(f'| {kind.name} | {" | ".join(cells)} |')
+        print(row(kind.name, *(
+            cell([one for one in found if (one.name, one.level) == (kind.name, level)])
+            for level in levels)))
 
 
 def cell(outcomes):

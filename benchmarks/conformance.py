@@ -24,6 +24,8 @@ import subprocess
 import sys
 import tempfile
 
+from tables import header, row
+
 FOLDER = Path(__file__).resolve().parents[1] / 'test' / 'conformance'
 ENGINES = {'rigid_body_ros': 'run_rigid_body_ros', 'RK4': 'rk4', 'Drake, RK5': 'run_drake',
            'Basilisk, RK4': 'run_basilisk', 'MuJoCo, RK4': 'run_mujoco',
@@ -53,9 +55,8 @@ def main():
     """Run all engines, and write the table into the page."""
     found = {name: table for name, command in ENGINES.items() if (table := errors(command))}
     motions = [name for name in next(iter(found.values())) if name]
-    lines = [f'| motion | {" | ".join(found)} |', f'|---{"|---" * len(found)}|']
-    lines += [f'| {motion} | {" | ".join(table[motion] for table in found.values())} |'
-              for motion in motions]
+    lines = [*header('motion', *found),
+             *(row(motion, *(table[motion] for table in found.values())) for motion in motions)]
     page = FOLDER / 'README.md'
     text = re.sub(r'(default settings:\n\n).*', lambda match: match[1], page.read_text(),
                   flags=re.DOTALL)

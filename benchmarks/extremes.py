@@ -17,8 +17,8 @@ Print the error of each solver for extreme bodies and motions.
 
     python benchmarks/extremes.py [--page docs/extremes.md]
 
-With --page, write the largest errors of each family of scenes into that page, between its lines
-`MARK` and `END`. The script takes two minutes.
+With --page, write the largest errors of each family of scenes into that page, between the lines
+that say so. The script takes two minutes.
 """
 
 import argparse
@@ -26,13 +26,12 @@ from pathlib import Path
 import sys
 
 from rigid_body_ros.propagation import SOLVERS
+from tables import header, row, write_into
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / 'test'))
 from known import KNOWN, lost_momentum, ODE_LOSSES  # noqa: E402, I100
 from scenes import FIXED_STEP, SCENES  # noqa: E402
 
-MARK = '<!-- what follows is printed by benchmarks/extremes.py -->'
-END = '<!-- end of what is printed by benchmarks/extremes.py -->'
 #: Maximum number of steps of a fixed-step solver; a run with more steps would take too long.
 MOST_STEPS = 3e6
 #: The families of scenes on the page, each with the beginnings of the names of its scenes.
@@ -77,16 +76,6 @@ def error_of(scene, solver):
 def number(value):
     """Return a number as text with two digits; text stays as it is."""
     return value if isinstance(value, str) else f'{value:.1e}' if value > 1e-30 else '0'
-
-
-def row(*cells):
-    """Return a row of a table."""
-    return '| ' + ' | '.join(cells) + ' |'
-
-
-def header(*cells):
-    """Return the first two rows of a table."""
-    return [row(*cells), '|' + '---|' * len(cells)]
 
 
 def scene_lines(errors):
@@ -155,8 +144,7 @@ def main():
     if page is None:
         print('\n'.join([*scene_lines(errors), *momentum_lines(), *known_lines()]))
         return
-    text, table = page.read_text(), '\n'.join(family_lines(errors))
-    page.write_text(f'{text.split(MARK)[0]}{MARK}\n\n{table}\n\n{END}{text.split(END)[1]}')
+    write_into(page, __file__, '\n'.join(family_lines(errors)))
 
 
 if __name__ == '__main__':

@@ -29,6 +29,7 @@ import sys
 from mpmath import mp
 import numpy as np
 from rigid_body_ros import GravityGradient, Problem, RigidBody, State, TorqueLog, UniformField
+from rigid_body_ros.common.arrays import symmetric
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 
 TESTS = Path(__file__).resolve().parents[1] / 'test'
@@ -91,12 +92,6 @@ MOTIONS = {
 }
 
 
-def tensor(values):
-    """Return a tensor from its six entries."""
-    xx, yy, zz, xy, xz, yz = values
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
 def true_rows(values):
     """Return the times, ns, and the true attitudes and angular velocities."""
     rows, end_ns = values['torques_t_ns_x_y_z'], values['end_ns']
@@ -110,9 +105,9 @@ def true_rows(values):
                         values['torque_frame'] == 'space'))
     field, orbit = values.get('uniform_field'), values.get('orbit')
     states = truth.series(
-        tensor(values['inertia_xx_yy_zz_xy_xz_yz']), values['attitude_xyzw'],
+        symmetric(values['inertia_xx_yy_zz_xy_xz_yz']), values['attitude_xyzw'],
         values['angular_velocity'], torques, 40, values.get('rotor_momentum', [0.0] * 3),
-        tensor(values.get('damping_xx_yy_zz_xy_xz_yz', [0.0] * 6)),
+        symmetric(values.get('damping_xx_yy_zz_xy_xz_yz', [0.0] * 6)),
         fields=[(field['moment_body'], field['field_space'])] if field else [],
         orbit=(orbit['rate'], orbit['position_space'],
                np.cross(orbit['normal_space'], orbit['position_space'])) if orbit else
@@ -131,8 +126,8 @@ def problem(values):
     log = TorqueLog([row[0] for row in rows], [row[1:] for row in rows],
                     values['torque_frame']) if rows else None
     return Problem(
-        RigidBody(tensor(values['inertia_xx_yy_zz_xy_xz_yz']),
-                  tensor(values.get('damping_xx_yy_zz_xy_xz_yz', [0.0] * 6))),
+        RigidBody(symmetric(values['inertia_xx_yy_zz_xy_xz_yz']),
+                  symmetric(values.get('damping_xx_yy_zz_xy_xz_yz', [0.0] * 6))),
         State(0, values['attitude_xyzw'], values['angular_velocity'],
               values.get('rotor_momentum', [0.0] * 3)), log, fields=fields)
 

@@ -32,6 +32,7 @@ from typing import NamedTuple
 import bits
 import numpy as np
 from rigid_body_ros import GravityGradient, Problem, RigidBody, State, TorqueLog, UniformField
+from rigid_body_ros.common.arrays import entries
 from vectors import alone, Motion, OPTIONS, Output, read, VECTORS
 
 sys.path.insert(0, str(VECTORS.parent))
@@ -243,9 +244,9 @@ def lines(case: Case, sequence: str) -> Iterator[str]:
     for name in OPTIONS:
         if getattr(options, name):
             yield line(name, [getattr(options, name)])
-    yield line('inertia', six(problem.body.inertia))
+    yield line('inertia', entries(problem.body.inertia))
     if problem.body.is_damped:
-        yield line('damping', six(problem.body.damping))
+        yield line('damping', entries(problem.body.damping))
     start = problem.start
     yield line(f'start {start.time_ns}', [*start.attitude, *start.angular_velocity])
     if start.rotor_momentum.any():
@@ -270,11 +271,6 @@ def outputs(case: Case, sequence: str) -> list[Output]:
     keys = ['state', 'rotor_momentum'] if case.problem.has_rotors else ['state']
     found = [Output(key, time_ns, ()) for time_ns in case.at.tolist() for key in keys]
     return [*found, Output(f'euler {sequence}', found[-1].time_ns, ())]
-
-
-def six(tensor: np.ndarray) -> list[float]:
-    """Return the entries xx, yy, zz, xy, xz, yz of a tensor."""
-    return [*tensor.diagonal().tolist(), *tensor[[0, 0, 1], [1, 2, 2]].tolist()]
 
 
 def line(start: str, numbers: list[float]) -> str:

@@ -38,6 +38,7 @@ from rigid_body_ros.inference.monitor import (  # noqa: E402
 )
 from scipy.signal import lfilter  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
+from tables import header, row  # noqa: E402
 
 SECOND = 10 ** 9
 TORQUE_HZ, MOCAP_HZ, GYRO_HZ = 20, 50, 100
@@ -137,13 +138,12 @@ def main():
         if options.delays or options.windows:
             columns = {f'{window:g} s': (1.0, window) for window in options.windows or ()} or {
                 'nominal noise': (1.0, 5.0), 'ten times the noise': (10.0, 5.0)}
-            print(f'| what is wrong | {" | ".join(columns)} |\n|---|' + '---|' * len(columns))
+            print(*header('what is wrong', *columns), sep='\n')
             for name in ERRORS:
                 cells = [np.median(pool.map(partial(delay, name, *column), range(5)))
                          for column in columns.values()]
-                print(f'| {name} | ' + ' | '.join(
-                    f'{cell:.0f} s' if cell < np.inf else 'not within 10 min'
-                    for cell in cells) + ' |', flush=True)
+                print(row(name, *(f'{cell:.0f} s' if cell < np.inf else 'not within 10 min'
+                                  for cell in cells)), flush=True)
             return
         count = windows = 0
         for hour, (alarms, judged) in enumerate(pool.imap(partial(

@@ -55,7 +55,7 @@ sys.path.extend(str(Path(__file__).resolve().parent.parent / name)
                 for name in ('examples', 'test'))
 from live import replayed, TUMBLER  # noqa: E402, I100
 from live_session import LiveSession  # noqa: E402
-from soak import Line, printed  # noqa: E402
+from soak import Line, printed, replayed_bits  # noqa: E402
 
 SEED = 23
 #: s; largest delay of a torque, and duration of the load before SIGINT.
@@ -155,7 +155,6 @@ def overload(rate, seconds, domain):
         run = replayed(Path(folder), live)
     stamps = [_stamp_ns(array) * 1e-9 for array in live.diagnostics]
     rejected = sum(counts[rejections(cause)] for cause in CAUSES)
-    same = np.all(run.committed.view(np.int64) == run.replay.view(np.int64), axis=1)
     print(f'sent {sent}: applied {counts[APPLIED]}, rejected {rejected}, {LOST} {counts[LOST]}; '
           f'ended in {ending:.2g} s')
     return [Line('sent, received or lost', counts[RECEIVED] + counts[LOST], sent),
@@ -165,7 +164,7 @@ def overload(rate, seconds, domain):
             Line('longest time between diagnostics, s', max(np.diff(stamps)), DIAGNOSIS, True),
             Line('until real time again, s', recovery, RECOVERY, True),
             Line('exit status', status, 0),
-            Line('states with the bits of the replay', int(same.sum()), same.size)]
+            replayed_bits(run)]
 
 
 def _longest_service(live, sender):

@@ -22,7 +22,7 @@ half a second. For each error level, the settings below this error that may be t
 timed in turns. This measurement gives all times and ratios of a problem. Errors are angles, rad,
 between the final attitude and a reference with 30 digits. All runs use one thread, and compilation
 is not timed. The tables show two levels, --json and --plot all of them. With --page, the tables
-are written into that file, between its lines `MARK` and `END`.
+are written into that file, between the lines that say so.
 """
 
 import argparse
@@ -35,16 +35,14 @@ import platform
 import time
 from typing import Any, NamedTuple
 
-from extremes import header, row
 from matplotlib.figure import Figure
 import numpy as np
 from pairs import Comparison, in_turns, quick
 from problems import error, PROBLEMS
 from rigid_body_ros import propagate
+from tables import header, row, write_into
 from tqdm import tqdm
 
-MARK = '<!-- what follows is printed by benchmarks/peers.py -->'
-END = '<!-- end of what is printed by benchmarks/peers.py -->'
 #: Names of the peers by module.
 PEERS = {'heyoka': 'heyoka', 'cyrk': 'CyRK', 'rk4': 'RK4, numba', 'scipy': 'scipy',
          'numpy': 'RK4, numpy', 'mujoco': 'MuJoCo', 'drake': 'Drake', 'basilisk': 'Basilisk'}
@@ -317,9 +315,7 @@ def main():
     if arguments.plot:
         draw(arguments.plot, results)
     if arguments.page:
-        page = arguments.page.read_text()
-        arguments.page.write_text(
-            f'{page.split(MARK)[0]}{MARK}\n\n{text}\n{END}{page.split(END)[1]}')
+        write_into(arguments.page, __file__, text)
 
 
 if __name__ == '__main__':

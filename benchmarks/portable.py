@@ -28,6 +28,7 @@ import sys
 import bits
 import numpy as np
 from rigid_body_ros import GravityGradient, propagate, RigidBody, State, TorqueLog, UniformField
+from rigid_body_ros.common.arrays import ENTRIES
 from rigid_body_ros.mechanics import euler, so3, urdf
 
 #: Which results of a motion to compute: those of `bits.groups`, or one for each solver it names.
@@ -110,8 +111,7 @@ def described(motion: bits.Motion) -> Iterator[np.ndarray]:
 def read_bodies(motion: bits.Motion) -> Iterator[np.ndarray]:
     """Yield inertia tensors that are read from a URDF, and computed from point masses."""
     tensor = motion.body.inertia
-    entries = ' '.join(f'i{a}{b}="{tensor.item("xyz".index(a), "xyz".index(b))}"'
-                       for a, b in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz'))
+    entries = ' '.join(f'i{name}="{tensor.item(place)}"' for name, place in ENTRIES.items())
     yield urdf.inertia(_URDF.format(entries))
     masses = 1.0 + np.arange(12.0) / 7.0
     places = np.arange(36.0).reshape(12, 3) ** 2 % 7.0

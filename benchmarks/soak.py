@@ -35,7 +35,7 @@ from typing import NamedTuple
 
 import numpy as np
 import psutil
-from rigid_body_ros import messages
+from rigid_body_ros import messages, recording
 from rigid_body_ros.live.events import (
     APPLIED,
     CAUSES,
@@ -274,12 +274,16 @@ def published(live, plan, folder):
     sent = [(plan.stamps_ns[row], plan.frame_ids[row] or 'base_link', *plan.torques[row])
             for row in np.flatnonzero(plan.valid)]
     stamps = np.unique(plan.stamps_ns[plan.valid])
-    same = np.all(run.committed.view(np.int64) == run.replay.view(np.int64), axis=1)
     return [finite,
             Line('logged as sent, in order', sum(a == b for a, b in zip(logged, sent)), len(sent)),
             Line('stamps committed', np.intersect1d(run.stamps_ns, stamps).size, stamps.size),
-            Line('states committed', same.size, 1 + stamps.size),
-            Line('states with the bits of the replay', int(same.sum()), same.size)]
+            Line('states committed', len(run.committed), 1 + stamps.size), replayed_bits(run)]
+
+
+def replayed_bits(run):
+    """Compare the committed states with their replay."""
+    same = recording.same_bits(run.committed, run.replay)
+    return Line('states with the bits of the replay', int(same.sum()), same.size)
 
 
 def printed(lines):

@@ -17,8 +17,8 @@ Print the tables of docs/validation.md: published values, and how far this packa
 
     python benchmarks/validation.py [--page docs/validation.md]
 
-With --page, replace everything between the lines `MARK` and `END` of the page. The option needs
-NASA's check-case data: set the environment variable NESC_DATA to the folder of the data.
+With --page, replace everything between the lines of the page that say so. The option needs NASA's
+check-case data: set the environment variable NESC_DATA to the folder of the data.
 """
 
 import argparse
@@ -26,13 +26,12 @@ import os
 from pathlib import Path
 import sys
 
-from extremes import header, number, row
+from extremes import number
+from tables import header, row, write_into
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / 'test'))
 from published import DataNotHereError, ROWS  # noqa: E402
 
-MARK = '<!-- what follows is printed by benchmarks/validation.py -->'
-END = '<!-- end of what is printed by benchmarks/validation.py -->'
 #: For each source: its heading and the remarks.
 TEXTS = {
     'jeod': ("The Space Station of NASA's JEOD",
@@ -103,8 +102,7 @@ def main():
         return
     if 'NESC_DATA' not in os.environ:
         parser.error('--page: NESC_DATA is not set, so the rows that need it would be lost')
-    text = page.read_text()
-    page.write_text(f'{text.split(MARK)[0]}{MARK}\n\n{tables()}\n{END}{text.split(END)[1]}')
+    write_into(page, __file__, tables())
 
 
 if __name__ == '__main__':

@@ -40,6 +40,7 @@ from rigid_body_ros import (
     Trajectory,
     UniformField,
 )
+from rigid_body_ros.common.arrays import symmetric
 
 VECTORS = Path(__file__).resolve().parent.parent / 'test' / 'vectors.txt'
 OPTIONS = ('tolerance', 'max_step', 'torque_timeout')
@@ -118,8 +119,8 @@ class Reader:
     def motion(self) -> Motion:
         """Return the motion from the lines that were read."""
         given = self._given
-        body = RigidBody(tensor(given['inertia']),
-                         tensor(given['damping']) if 'damping' in given else None)
+        body = RigidBody(symmetric(numbers(given['inertia'])),
+                         symmetric(numbers(given['damping'])) if 'damping' in given else None)
         time_ns, *values = given['start']
         values = numbers(values)
         start = State(int(time_ns), values[:4], values[4:],
@@ -154,12 +155,6 @@ def field(key: str, words: list[str]) -> UniformField | GravityGradient:
         return UniformField(values[:3], values[3:])
     rate, *directions = numbers(words[1:])
     return GravityGradient(rate, directions[:3], directions[3:], int(words[0]))
-
-
-def tensor(words: Iterable[str]) -> np.ndarray:
-    """Return the symmetric tensor with entries xx, yy, zz, xy, xz, yz, shape (3, 3)."""
-    xx, yy, zz, xy, xz, yz = numbers(words)
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def read(path: Path = VECTORS) -> list[Motion]:
