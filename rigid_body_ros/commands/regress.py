@@ -17,7 +17,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection
 from contextlib import suppress
 from functools import partial
 import math
@@ -36,7 +35,6 @@ from rigid_body_ros.runtime.terminal import report
 if TYPE_CHECKING:
     from rigid_body_ros.regress import Regression, Span
     from rigid_body_ros.regress.open_loop import Answer
-    from rigid_body_ros.scene import Scene
 
 #: The exit status if the controller's loop differs from the reference.
 DIFFERENT = 1
@@ -58,8 +56,8 @@ def _run_closed_loop(options: argparse.Namespace) -> int:
         with checked(options) as outputs:
             scene, place = load_scene(options, mode=LOCKSTEP), Path(folder)
             wheels = tuple(wheel.name for wheel in scene.named_wheels)
-            session = Session(options.rest, partial(_node, options.command, scene),
-                              options.timeout, wheels)
+            start = partial(_node, options.command, 'recorded', 'RecordedNode', scene)
+            session = Session(options.rest, start, options.timeout, wheels)
             with private_domain():
                 result = update(session, _span(options, wheels), place, options.tolerance) \
                     if options.update else \
@@ -75,17 +73,18 @@ def _run_closed_loop(options: argparse.Namespace) -> int:
 
 def _run_open_loop(options: argparse.Namespace) -> int:
     from rigid_body_ros.recording.all_messages import AllMessages
-    from rigid_body_ros.regress.open_loop import OpenLoop
+    from rigid_body_ros.regress import Session
+    from rigid_body_ros.regress.open_loop import OpenLoop, WORDS
     from rigid_body_ros.regress.processes import private_domain
     from rigid_body_ros.report.report import Report
     _check_open_loop(options)
     with checked(options) as outputs, TemporaryDirectory(prefix='attitude_regress.') as folder:
         recorded = AllMessages(options.reference)
         node = imported(options.command, 'rigid_body_ros.node.open_loop')
-        start = partial(_open_loop_node, options.command, options.reference,
+        start = partial(_node, options.command, 'open_loop', 'OpenLoopNode', options.reference,
                         round(options.step * 1e9))
-        loop = OpenLoop.of(recorded, options.rest, start, options.timeout, node.fields_of,
-                           options.tolerance or {})
+        loop = OpenLoop(recorded, Session(options.rest, start, options.timeout, words=WORDS),
+                        node.fields_of, options.tolerance or {})
         with private_domain():
             result = (loop.update if options.update else loop.compare)(Path(folder), node.FED)
         title = f'{Path(options.reference).name}: open loop'
@@ -146,20 +145,10 @@ def _check(options: argparse.Namespace) -> None:
             committed(options.reference)  # only a reference may be replaced
 
 
-def _node(command: str, scene: Scene, logs: Collection[str]) -> Any:
-    """Create the node; called in the process that runs it."""
+def _node(command: str, module: str, name: str, *arguments: Any) -> Any:
+    """Create a node; called in the process that runs it."""
     try:
-        return imported(command, 'rigid_body_ros.node.recorded').RecordedNode(scene, logs)
-    except RuntimeError as error:  # from the middleware
-        raise InputError(reason(error)) from error
-
-
-def _open_loop_node(command: str, path: str, step_ns: int, _: Collection[str]) -> Any:
-    """Create the node that feeds a recording; called in the process that runs it."""
-    from rigid_body_ros.recording.all_messages import AllMessages
-    try:
-        return imported(command, 'rigid_body_ros.node.open_loop').OpenLoopNode(
-            AllMessages(path), step_ns)
+        return getattr(imported(command, f'rigid_body_ros.node.{module}'), name)(*arguments)
     except RuntimeError as error:  # from the middleware
         raise InputError(reason(error)) from error
 

@@ -16,19 +16,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 import pickle
 import time
-from types import TracebackType
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from rcl_interfaces.srv import GetParameters
-import rclpy
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
@@ -38,6 +35,9 @@ from rclpy.task import Future
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.node.clocks import message_of
+from rigid_body_ros.node.intake import full_name
+from rigid_body_ros.node.process import Observer
 from rigid_body_ros.recording.all_messages import AllMessages
 from rosgraph_msgs.msg import Clock
 
@@ -46,7 +46,6 @@ _QUIET = 2.0
 #: How long a node may take to process a message, s. If an expected output is missing, how long to
 #: wait for it, s; this becomes shorter each time, because other outputs may be missing as well.
 _PATIENCE, _IN_TRANSIT = 20.0, 0.5
-_OURS = 'attitude_regress'
 _CLOCK = '/clock'
 #: The topics that every node has, or that we publish: neither inputs nor outputs.
 _OTHERS = {_CLOCK, '/parameter_events', '/rosout'}
@@ -62,7 +61,7 @@ _Group = tuple[int, list[tuple[str, bytes]]]
 _Connection = tuple[str, str, str]
 
 
-class OpenLoopNode:
+class OpenLoopNode(Observer):
     """
     Feed recorded inputs to the nodes in the domain, and keep their outputs.
 
@@ -74,52 +73,44 @@ class OpenLoopNode:
 
     Parameters
     ----------
-    recorded : AllMessages
+    path : str
         The recording.
     step_ns : int, ns
         While no message is due, time goes forward by this much, for nodes with timers; 0 if time
         only goes forward with the messages.
+    logs : collection of str
+        Not used: it is for nodes that wait for some topics only.
 
     """
 
     has_rival = False
 
-    def __init__(self, recorded: AllMessages, step_ns: int) -> None:
-        self._recorded, self._step_ns = recorded, step_ns
-        self._context = rclpy.Context()
-        rclpy.init(args=['--ros-args', '--log-level', 'error', '--disable-external-lib-logs'],
-                   context=self._context)
-        self._node = rclpy.create_node(_OURS, context=self._context)
+    def __init__(self, path: str, step_ns: int, logs: Collection[str] = ()) -> None:
+        #: Who subscribes to topics, and who publishes on them.
+        self._connections: tuple[set[_Connection], set[_Connection]]
+        super().__init__((set(), set()))
+        self._recorded, self._step_ns = AllMessages(path), step_ns
         self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._topics = sorted({*recorded.topics} - _OTHERS)
-        #: Who subscribes to topics, who publishes on them, and when this last changed, in seconds
-        #: on the monotonic clock.
-        self._subscribed, self._published = frozenset[_Connection](), frozenset[_Connection]()
-        self._since = time.monotonic()
+        self._executor.add_node(self._observer)
+        self._topics = sorted({*self._recorded.topics} - _OTHERS)
         self._publishers: dict[str, Publisher[Any]] = {}
         self._clients: list[Client[Any, Any]] = []
         self._clock: Publisher[Any] | None = None
         self._groups: Iterator[_Group] | None = None
         self._next: _Group | None = None
-        self._now_ns, self._missing = recorded.span_ns[0], 0
+        self._now_ns, self._missing = self._recorded.span_ns[0], 0
         self.elapsed_ns: dict[str, int] = {}
         #: The outputs of each topic: the time at which each was caused, ns, and its message.
         self._outputs: dict[str, list[tuple[int, bytes]]] = {}
 
-    def __enter__(self) -> OpenLoopNode:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *error: object) -> None:
         self._executor.shutdown()
-        self._node.destroy_node()
-        rclpy.shutdown(context=self._context)
+        super().__exit__(*error)
 
     @property
     def unpublished(self) -> list[str]:
         """Return the recorded topics that no node publishes."""
-        return sorted({*self._topics} - {topic for topic, *_ in self._published})
+        return sorted({*self._topics} - {topic for topic, *_ in self._connections[1]})
 
     def spin(self, seconds: float) -> None:
         """Feed the nodes what is next; if nothing can be fed, sleep for a number of seconds."""
@@ -136,40 +127,38 @@ class OpenLoopNode:
     def _is_connected(self) -> bool:
         """Return whether nodes have connected to topics, and no connection has changed since."""
         subscribed, published = (
-            frozenset((topic, _full_name(peer), peer.topic_type)
-                      for topic in (*self._topics, _CLOCK) for peer in peers(topic)
-                      if peer.node_name != _OURS)
-            for peers in (self._node.get_subscriptions_info_by_topic,
-                          self._node.get_publishers_info_by_topic))
-        if (subscribed, published) != (self._subscribed, self._published):
-            self._subscribed, self._published = subscribed, published
-            self._since = time.monotonic()
+            {(topic, full_name(peer), peer.topic_type)
+             for topic in (*self._topics, _CLOCK) for peer in peers(topic)
+             if peer.node_name != self.NAME}
+            for peers in (self._observer.get_subscriptions_info_by_topic,
+                          self._observer.get_publishers_info_by_topic))
         outputs = {topic for topic, *_ in published}
-        return any(topic not in {*outputs, _CLOCK} for topic, *_ in subscribed) \
-            and bool(outputs - _OTHERS) and time.monotonic() - self._since > _QUIET
+        return self._are_lasting((subscribed, published), _QUIET) and bool(outputs - _OTHERS) \
+            and any(topic not in {*outputs, _CLOCK} for topic, *_ in subscribed)
 
     def _begin(self) -> None:
         """Publish the inputs, subscribe to the outputs, and wait until all are connected."""
-        outputs = {topic for topic, *_ in self._published} - _OTHERS
-        inputs = {topic for topic, *_ in self._subscribed} - _OTHERS - outputs
-        for topic, name, found in sorted(self._subscribed | self._published):
+        subscribed, published = self._connections
+        outputs = {topic for topic, *_ in published} - _OTHERS
+        inputs = {topic for topic, *_ in subscribed} - _OTHERS - outputs
+        for topic, name, found in sorted(subscribed | published):
             if topic != _CLOCK and found != (recorded := self._recorded.topics[topic].type):
                 raise InputError(f'{topic}: expected {recorded or "no type"} as in the recording, '
                                  f'found that {name} uses {found}')
         for topic in sorted(outputs):
             self._outputs[topic] = []
-            self._node.create_subscription(self._type(topic), topic, self._keep(topic), _qos(
-                self._node.get_publishers_info_by_topic(topic), all), raw=True)
+            self._observer.create_subscription(self._type(topic), topic, self._keep(topic), _qos(
+                self._observer.get_publishers_info_by_topic(topic), all), raw=True)
         for topic in sorted(inputs):
             self._publishers[topic] = self._publisher(topic, self._type(topic))
-        if any(topic == _CLOCK for topic, *_ in self._subscribed):
+        if any(topic == _CLOCK for topic, *_ in subscribed):
             self._clock = self._publisher(_CLOCK, Clock)
         elif self._step_ns:
             raise InputError('--step: expected a node that subscribes to /clock, found none; set '
                              'use_sim_time')
         # A node that only publishes may react to the outputs of another.
-        names = sorted({name for _, name, _ in self._subscribed | self._published})
-        self._clients = [self._node.create_client(GetParameters, f'{name}/get_parameters')
+        names = sorted({name for _, name, _ in subscribed | published})
+        self._clients = [self._observer.create_client(GetParameters, f'{name}/get_parameters')
                          for name in names]
         for name, client in zip(names, self._clients):
             if not client.wait_for_service(timeout_sec=_PATIENCE):
@@ -185,8 +174,8 @@ class OpenLoopNode:
         return message_type(topic, self._recorded.topics[topic].type)
 
     def _publisher(self, topic: str, kind: Any) -> Publisher[Any]:
-        return self._node.create_publisher(
-            kind, topic, _qos(self._node.get_subscriptions_info_by_topic(topic), any))
+        return self._observer.create_publisher(
+            kind, topic, _qos(self._observer.get_subscriptions_info_by_topic(topic), any))
 
     def _keep(self, topic: str) -> Callable[[bytes], None]:
         kept = self._outputs[topic]
@@ -207,8 +196,7 @@ class OpenLoopNode:
                   for topic, kept in self._outputs.items()}
         self._now_ns = time_ns
         if self._clock:
-            self._clock.publish(Clock(clock=Time(sec=time_ns // 10 ** 9,
-                                                 nanosec=time_ns % 10 ** 9)))
+            self._clock.publish(Clock(clock=message_of(time_ns)))
             self._synchronize()
         for topic, data in messages:
             self._publishers[topic].publish(data)
@@ -249,10 +237,6 @@ class OpenLoopNode:
 
 def _are_done(futures: list[Future[Any]]) -> bool:
     return all(future.done() for future in futures)
-
-
-def _full_name(peer: TopicEndpointInfo) -> str:
-    return f'{peer.node_namespace.rstrip("/")}/{peer.node_name}'
 
 
 def _qos(peers: list[TopicEndpointInfo], strongest: Callable[[Iterable[bool]], bool]

@@ -18,14 +18,15 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 import gc
 import inspect
 import os
 from pathlib import Path
 import signal
 import sys
-from typing import TypeVar
+import time
+from typing import Any, TypeVar
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -129,6 +130,43 @@ def spin(executor: Executor, node: Node, is_done: Callable[[], bool] = lambda: F
         # EventsExecutor may hang.
         executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
     node.destroy_node()
+
+
+class Observer(AbstractContextManager['Observer']):
+    """
+    A node in a context of its own, which sees who is connected to topics.
+
+    Use this class as a context manager, which ends the node on exit.
+
+    Parameters
+    ----------
+    connections : object
+        The first connections to compare others with; see `_are_lasting`.
+
+    """
+
+    #: The name of the node.
+    NAME = 'attitude_regress'
+
+    def __init__(self, connections: Any) -> None:
+        self._context = rclpy.Context()
+        # Do not write log files, and do not repeat warnings about the scene, because the command
+        # prints them itself.
+        rclpy.init(args=['--ros-args', '--log-level', 'error', '--disable-external-lib-logs'],
+                   context=self._context)
+        self._observer = rclpy.create_node(self.NAME, context=self._context)
+        #: The connections, and when they last changed, in seconds on the monotonic clock.
+        self._connections, self._since = connections, time.monotonic()
+
+    def __exit__(self, *error: object) -> None:
+        self._observer.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def _are_lasting(self, connections: Any, seconds: float) -> bool:
+        """Keep what is connected now, and return whether it has been the same for some seconds."""
+        if connections != self._connections:
+            self._connections, self._since = connections, time.monotonic()
+        return time.monotonic() - self._since > seconds
 
 
 def timer(node: Node, period: float, callback: Callable[[], None],

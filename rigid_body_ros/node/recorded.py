@@ -20,16 +20,14 @@ from collections.abc import Collection
 import json
 from pathlib import Path
 import time
-from types import TracebackType
 
-import rclpy
 from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node.attitude_node import AttitudeNode
 from rigid_body_ros.node.outputs import COMMITTED
-from rigid_body_ros.node.process import executor_of
+from rigid_body_ros.node.process import executor_of, Observer
 from rigid_body_ros.node.sources import BODY, sources_of
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.scene import Scene
@@ -40,7 +38,7 @@ from rigid_body_ros.scene.parameters import LOCKSTEP
 _QUIET = 3.0
 
 
-class RecordedNode:
+class RecordedNode(Observer):
     """
     Run a scene in a node in lockstep, and keep the node's log.
 
@@ -60,13 +58,8 @@ class RecordedNode:
     """
 
     def __init__(self, scene: Scene, logs: Collection[str] = ()) -> None:
+        super().__init__([])
         self._scene = scene
-        self._context = rclpy.Context()
-        # Do not write log files, and do not repeat warnings about the scene, because the command
-        # prints them itself.
-        rclpy.init(args=['--ros-args', '--log-level', 'error', '--disable-external-lib-logs'],
-                   context=self._context)
-        self._listener = rclpy.create_node('attitude_regress', context=self._context)
         sources = sources_of(scene)
         #: The message type of each log, and the stamps, ns, and messages of the current epoch.
         self._types = {**{source.log: source.logged for source in sources},
@@ -74,12 +67,9 @@ class RecordedNode:
         self._epoch: dict[str, list[tuple[int, bytes]]] = {name: [] for name in self._types}
         self._elapsed_ns: dict[str, int] = {}
         #: The torque topics by the names of their logs.
-        self._topics = {_base(source.log): self._listener.resolve_topic_name(source.topic)
+        self._topics = {_base(source.log): self._observer.resolve_topic_name(source.topic)
                         for source in sources if source.number != BODY}
         self._awaited = {self._topics[name] for name in logs if name in self._topics}
-        #: The topics without a publisher, and when this list last changed, in seconds on the
-        #: monotonic clock.
-        self._missing, self._since = self.unpublished, time.monotonic()
         self._node: AttitudeNode | None = None
         if len(self._topics) == 1:
             self._begin()
@@ -97,14 +87,9 @@ class RecordedNode:
         self._executor = executor_of(self._context)
         self._executor.add_node(self._node)
 
-    def __enter__(self) -> RecordedNode:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *error: object) -> None:
         self._end_node()
-        self._listener.destroy_node()
-        rclpy.shutdown(context=self._context)
+        super().__exit__(*error)
 
     @property
     def elapsed_ns(self) -> dict[str, int]:
@@ -115,13 +100,13 @@ class RecordedNode:
     def unpublished(self) -> list[str]:
         """Return the torque topics that have no publisher."""
         return [topic for topic in self._topics.values()
-                if not self._listener.count_publishers(topic)]
+                if not self._observer.count_publishers(topic)]
 
     @property
     def has_rival(self) -> bool:
         """Return whether another node publishes states on the same topic."""
-        states = self._listener.resolve_topic_name('odometry')
-        return self._listener.count_publishers(states) > (self._node is not None)
+        states = self._observer.resolve_topic_name('odometry')
+        return self._observer.count_publishers(states) > (self._node is not None)
 
     def spin(self, seconds: float) -> None:
         """
@@ -141,12 +126,11 @@ class RecordedNode:
 
     def _is_connected(self) -> bool:
         """Return whether every topic on which the node expects torques has a publisher."""
-        if (missing := self.unpublished) != self._missing:
-            self._missing, self._since = missing, time.monotonic()
+        missing = self.unpublished
         if self._awaited:
             return not self._awaited.intersection(missing)
-        return len(missing) < len(self._topics) and (
-            not missing or time.monotonic() - self._since > _QUIET)
+        are_lasting = self._are_lasting(missing, _QUIET)
+        return len(missing) < len(self._topics) and (not missing or are_lasting)
 
     def _keep(self, name: str, data: bytes) -> None:
         log, key = self._epoch[name], _base(name)

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.recording.all_messages import AllMessages
-from rigid_body_ros.regress.processes import Start, Status
+from rigid_body_ros.regress.processes import Status
 from rigid_body_ros.regress.regression import CAUSES, Session, Span, Words
 from rigid_body_ros.report.text import lines
 
@@ -81,13 +81,6 @@ class OpenLoop:
     session: Session
     decode: Decode
     tolerances: Mapping[str, float]
-
-    @classmethod
-    def of(cls, recorded: AllMessages, command: list[str], start: Start, timeout: float,
-           decode: Decode, tolerances: Mapping[str, float]) -> OpenLoop:
-        """Return the open loop of a command; the arguments are those of `Session`, too."""
-        session = Session(command, start, timeout, words=Words('node', 'recording', _progress))
-        return cls(recorded, session, decode, tolerances)
 
     def compare(self, folder: Path, key: str) -> Answer:
         """
@@ -239,6 +232,10 @@ def _progress(status: Status) -> str:
         return 'no node subscribes to one recorded topic and publishes another: nothing ' \
             f'publishes {listed(status.unpublished)}'
     return f'its inputs reach {min(status.elapsed_ns.values()) * 1e-9:.9g} s of the recording'
+
+
+#: What errors call a node and its recording.
+WORDS = Words('node', 'recording', _progress)
 
 
 def _stamp_ns(fields: Mapping[str, Any], time_ns: int) -> int:
