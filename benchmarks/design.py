@@ -17,7 +17,7 @@ Measure whether the intervals that `attitude_design` expects are those of simula
 
 Run `python benchmarks/design.py [--flights N] [--vehicle NAME]`. For each of five vehicles, it
 designs a maneuver, flies it N times in the simulator of `simulated.py`, which shares no code with
-the package, fits every flight with `identify`, and prints a line of `docs/design_maneuver.md`.
+the package, fits every flight with `identify`, and prints a line.
 """
 
 import argparse
@@ -29,18 +29,7 @@ from typing import NamedTuple
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 import numpy as np  # noqa: E402
-from rigid_body_ros import (  # noqa: E402
-    EffortLog,
-    Experiment,
-    identify,
-    Measured,
-    Problem,
-    RigidBody,
-    State,
-    TorqueLog,
-    UniformField,
-    Wheel,
-)
+import rigid_body_ros as ros  # noqa: E402
 from rigid_body_ros.design.information import Question, Sensor  # noqa: E402
 from rigid_body_ros.design.maneuver import Maneuvers, NO_LIMITS  # noqa: E402
 from rigid_body_ros.design.search import design  # noqa: E402
@@ -62,14 +51,11 @@ class Vehicle(NamedTuple):
     weight: tuple = (0.0, 0.0, 0.0)
     wheel: float = 0.0
 
-    def wheels(self):
-        """Return the wheels, one about each axis."""
-        return [Wheel(f'rw_{axis}', tuple(unit), self.wheel) for axis, unit in zip(
-            'xyz', np.eye(3))] if self.wheel else None
-
-    def fields(self):
-        """Return the field of the weight."""
-        return [UniformField(self.weight, simulated.GRAVITY, 'weight')] * any(self.weight)
+    def parts(self):
+        """Return the wheels, one about each axis, and the field of the weight, as keywords."""
+        return {'wheels': [ros.Wheel(f'rw_{axis}', tuple(unit), self.wheel) for axis, unit in zip(
+            'xyz', np.eye(3))] if self.wheel else None, 'fields': [
+                ros.UniformField(self.weight, simulated.GRAVITY, 'weight')] * any(self.weight)}
 
 
 VEHICLES = {
@@ -89,8 +75,8 @@ VEHICLES = {
 
 def maneuvers_of(vehicle):
     """Return the maneuvers of a vehicle, with torques at the rate of the simulator."""
-    body = RigidBody.from_moments(*vehicle.inertia)
-    problem = Problem(body, State(0), wheels=vehicle.wheels(), fields=vehicle.fields())
+    body = ros.RigidBody.from_moments(*vehicle.inertia)
+    problem = ros.Problem(body, ros.State(0), **vehicle.parts())
     limits = {name: np.array(limit) for name, limit in vehicle.limits.items()}
     return Maneuvers(problem, {**NO_LIMITS, **limits}, vehicle.seconds, simulated.TORQUE_HZ)
 
@@ -102,9 +88,9 @@ def flown(name, problem, expected, seed):
     kind = simulated.Kind(name, seconds=vehicle.seconds + 0.1, inertia=tensor,
                           weight=vehicle.weight)
     torques = np.zeros((1, round(kind.seconds * simulated.TORQUE_HZ), 3))
-    log = -efforts.efforts if efforts else problem.logs[0].torques if problem.logs \
-        else np.zeros((1, 3))
-    torques[0, :len(log)] = log
+    if efforts or problem.logs:
+        log = -efforts.efforts if efforts else problem.logs[0].torques
+        torques[0, :len(log)] = log
     off = 0.02 * random[0].standard_normal((2, 1, 3)) * (not vehicle.wheel)
     start = simulated.exponential(off[0]), problem.start.angular_velocity + off[1]
     attitudes, rates = simulated.integrated(kind, simulated.acting(kind, torques, random), start,
@@ -112,13 +98,13 @@ def flown(name, problem, expected, seed):
     times_ns = np.arange(torques.shape[1]) * (simulated.SECOND // simulated.TORQUE_HZ)
     seen = simulated.measured(kind, random[0], times_ns, torques[0], attitudes[:, 0], rates[:, 0],
                               1.0)
-    experiment = Experiment(
-        State(0), TorqueLog(times_ns, torques[0]) if problem.logs else None,
-        [Measured('/mocap', seen.attitude_ns, seen.attitude, None),
-         Measured('/imu', seen.rate_ns, None, seen.rates)], wheels=vehicle.wheels(),
-        fields=vehicle.fields(), efforts=efforts and EffortLog(times_ns, -torques[0]))
+    experiment = ros.Experiment(
+        ros.State(0), ros.TorqueLog(times_ns, torques[0]) if problem.logs else None,
+        [ros.Measured('/mocap', seen.attitude_ns, seen.attitude, None),
+         ros.Measured('/imu', seen.rate_ns, None, seen.rates)],
+        efforts=efforts and ros.EffortLog(times_ns, -torques[0]), **vehicle.parts())
     factor = 1.0 + 0.01 * random[0].standard_normal() if vehicle.priors else 1.05
-    fit = identify(RigidBody(factor * problem.body.inertia), experiment, estimate=(
+    fit = ros.identify(ros.RigidBody(factor * problem.body.inertia), experiment, estimate=(
         *vehicle.estimate, 'start'), priors=vehicle.priors)
     found = [fit.estimates[one] for one in expected.names]
     values = [one.value for one in found] - expected.values
@@ -127,7 +113,7 @@ def flown(name, problem, expected, seed):
 
 def main():
     """Print a line for each vehicle."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser()
     parser.add_argument('--flights', type=int, default=200)
     parser.add_argument('--vehicle', choices=VEHICLES)
     options = parser.parse_args()

@@ -108,13 +108,14 @@ def test_the_limits_hold_at_every_instant(problem, limits):
         assert np.abs(motion.wheel_speeds).max() <= limits['wheel_speed'][0]
 
 
-def test_a_maneuver_starts_and_ends_at_rest():
+def test_every_maneuver_starts_and_ends_at_rest():
     maneuvers = maneuvers_of(limits={**LIMITS, 'torque_rate': np.full(3, 1e3)})
     numbers = np.random.default_rng(0).uniform(*maneuvers.bounds.T)
-    flown = maneuvers.held(maneuvers.motion(numbers), [BODY])
-    rates = flown.propagate(at=[0, 6 * SECOND]).angular_velocity
-    # The torque is held, so the body follows the planned motion to second order in the step.
-    assert np.abs(rates).max() < 2e-3
+    for motion in (maneuvers.motion(numbers), *(motion for _, motion in maneuvers.usual())):
+        assert np.abs(motion[[0, -1]]).max() < 1e-12
+        rates = maneuvers.flown(motion).propagate(at=[0, 6 * SECOND]).angular_velocity
+        # The torque is held, so the body follows the motion to second order in the step.
+        assert np.abs(rates).max() < 5e-3
 
 
 def test_wheels_turn_the_body_as_planned():
@@ -197,6 +198,28 @@ def test_a_profile_can_be_replayed(tmp_path, suffix, capsys):
         panel['label'] for panel in data_of(page.read_text())['panels']}
     assert main.attitude_design(arguments) == 2
     assert '--overwrite' in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_profile_of_wheels_leaves_the_body_at_rest(tmp_path, capsys):
+    scene, profile = tmp_path / 'wheels.yaml', tmp_path / 'fly.mcap'
+    scene.write_text('\n'.join([
+        '/**:', '  ros__parameters:', '    inertia: {ixx: 0.036, iyy: 0.035, izz: 0.0065}',
+        '    wheel_names: [rw_x, rw_y, rw_z]', *(
+            f'    rw_{axis}: {{axis: {{{axis}: 1.0}}, inertia: 2e-5, max_torque: 0.02}}'
+            for axis in 'xyz')]))
+    assert main.attitude_design(['--scene', str(scene), *COMMAND[2:], '-o', str(profile)]) == 0
+    problem = read(profile, scene)
+    assert np.abs(problem.efforts.efforts).max() <= 0.02
+    final = problem.propagate(at=problem.efforts.times_ns[-1:])
+    # The sum of the impulses of each wheel is exact.
+    assert np.abs(final.angular_velocity).max() < 1e-14
+
+
+def test_a_spin_that_no_usual_one_replaces(capsys):
+    assert main.attitude_design([*COMMAND, '--limit', 'torque=0', '--prior',
+                                 'inertia.ixx=1%']) == 0
+    assert 'start ' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [

@@ -134,8 +134,8 @@ class Maneuvers:
     def _ramps(times: Floats, seconds: float) -> Floats:
         """Return a factor from 0 to 1, which vanishes smoothly at 0 and `seconds`, and outside."""
         share = times / seconds
-        ramp = np.clip(np.minimum(share, 1.0 - share) / _RAMP, 0.0, 1.0)
-        return np.asarray(np.sin(0.5 * np.pi * ramp.reshape(len(times), -1)) ** 2)
+        ramp = np.clip(np.minimum(share, 1.0 - share) / _RAMP, 0.0, 1.0).reshape(len(times), -1)
+        return np.asarray(ramp ** 3 * (10.0 - 15.0 * ramp + 6.0 * ramp ** 2))
 
     def usual(self) -> Iterator[tuple[str, Floats]]:
         """
@@ -152,8 +152,8 @@ class Maneuvers:
         own = self._times[:, None] - third * np.arange(3)
         low = self.band[0]
         for top in np.geomspace(low, self.band[1], 5)[1:]:
-            doublet = np.maximum(0.0, 1.0 - np.abs(
-                2.0 * top * (own - 0.5 * third)[..., None] - [-1.0, 1.0])) @ [1.0, -1.0]
+            phase = max(2.0 * top, 4.0 / third) * (own - 0.5 * third)[..., None]
+            doublet = np.maximum(0.0, 1.0 - np.abs(phase - [-1.0, 1.0])) @ [1.0, -1.0]
             chirp = self._ramps(own, third) * np.sin(
                 2.0 * np.pi * own * (low + 0.5 * (top - low) / third * own))
             lines = np.arange(max(2, round(top * self.seconds) // 3))[:, None]

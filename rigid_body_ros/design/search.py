@@ -40,7 +40,7 @@ from rigid_body_ros.scene.quantities import components_of, quantity_of
 
 #: Maneuvers in a population of the search, the number of maneuvers that it tries in all, and the
 #: number that it tries to find out what another limit or sensor would tell.
-_POPULATION, _TRIALS, _OTHERS = 24, 4800, 360
+_POPULATION, _TRIALS, _OTHERS = 24, 4080, 240
 #: Size of the changes from which a search for an alternative begins, relative to the bounds.
 _NEAR = 0.05
 #: Number of bodies, drawn from a prior of the inertia, for which a maneuver is also good.
@@ -66,14 +66,15 @@ def design(maneuvers: Maneuvers, question: Question, track: Track = no_progress)
     some = maneuvers.flown(maneuvers.motion(maneuvers.bounds[:, 1]))
     bodies = _bodies(some.body, question.expected(some, maneuvers.seconds, _SENSOR_HZ))
     best, flown, expected = _best(maneuvers, question, bodies, track)
-    usual: dict[str, Expected] = {}
+    flights = [('', flown, expected)]
     for name, motion in maneuvers.usual():
-        other = question.expected(maneuvers.held(motion, bodies[:1]), maneuvers.seconds)
-        usual[name] = min(usual.get(name, other), other,
-                          key=lambda one: one.cost(question.criterion))
+        flown = maneuvers.held(motion, bodies)
+        flights.append((name, flown, question.expected(flown, maneuvers.seconds)))
+    flights.sort(key=lambda flight: -flight[2].cost(question.criterion))  # the best comes last
     others = {name: _best(*other, bodies[:1], track, best)[2]
               for name, other in _alternatives(maneuvers, question)}
-    return Design(maneuvers, question, flown, expected, usual, others)
+    usual = {name: expected for name, _, expected in flights if name}
+    return Design(maneuvers, question, *flights[-1][1:], usual, others)
 
 
 def _bodies(body: RigidBody, known: Expected) -> list[RigidBody]:
@@ -91,8 +92,8 @@ def _best(maneuvers: Maneuvers, question: Question, bodies: list[RigidBody], tra
           near: Floats | None = None) -> tuple[Floats, Problem, Expected]:
     """Return the numbers and the flight of the best maneuver, and what it tells."""
     from scipy.optimize import differential_evolution  # slow to import
-    quick, bounds = replace(maneuvers, hz=min(maneuvers.hz, _TORQUE_HZ)), maneuvers.bounds
-    random = np.random.default_rng(0)
+    quick = replace(maneuvers, hz=min(maneuvers.hz, _TORQUE_HZ))
+    bounds, random = quick.bounds, np.random.default_rng(0)
     trials = _OTHERS if near is not None else _TRIALS // len(bodies)
     first = random.random((_POPULATION, len(bounds))) if near is None else \
         (near - bounds[:, 0]) / np.ptp(bounds, axis=1) + _NEAR * np.vstack([
@@ -162,8 +163,9 @@ class Design:
             return f'no maneuver within these limits determines {", ".join(names)}'
         widest, (name, best) = self.expected.widest, min(
             self.usual.items(), key=lambda pair: pair[1].widest)
-        return f'all intervals within {100.0 * widest:.2g} % of their scales, ' \
-               f'{best.widest / widest:.2g} times narrower than after a {name}'
+        compared = f'{best.widest / widest:.2g} times narrower than after a {name}' \
+            if np.isfinite(best.widest) else 'which no usual maneuver achieves'
+        return f'all intervals within {100.0 * widest:.2g} % of their scales, {compared}'
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as JSON types, with None for intervals that are not known."""
