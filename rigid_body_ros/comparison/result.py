@@ -229,8 +229,7 @@ class Comparison:
         """Return a summary as text, with one fact per line."""
         return lines(f'{name:17}{text}' for name, text in self.rows(degrees))
 
-    def __str__(self) -> str:
-        return self.text()
+    __str__ = text
 
     def rows(self, degrees: bool = False) -> Iterator[tuple[str, str]]:
         """Generate the verdict and the facts, each as a name and a text."""

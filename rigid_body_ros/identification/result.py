@@ -325,8 +325,7 @@ class Identification:
                           for rows in (self.verdict.rows(has_estimates=True), self.rows(degrees)))
         return lines([*verdict, *_aligned(self.table(degrees)), *facts])
 
-    def __str__(self) -> str:
-        return self.text()
+    __str__ = text
 
     def table(self, degrees: bool = False) -> list[list[str]]:
         """

@@ -311,13 +311,11 @@ def _products(work: Floats, table: Floats, k: int,
     for j in range(k + 1):
         row, place = row_of(table, k - j) + U, _ORDER * j
         x, y, z = table[row], table[row + 1], table[row + 2]
-        a, b, c = (lanes.load(work, place), lanes.load(work, place + 1),
-                   lanes.load(work, place + 2))
+        a, b, c = _rows(work, place)
         yz, zx, xy = fma(y, c, fma(z, b, yz)), fma(z, a, fma(x, c, zx)), fma(x, b, fma(y, a, xy))
         if form != DIAGONAL:
             xx, yy, zz = fma(2.0 * x, a, xx), fma(2.0 * y, b, yy), fma(2.0 * z, c, zz)
-        a, b, c = (lanes.load(work, place + 3), lanes.load(work, place + 4),
-                   lanes.load(work, place + 5))
+        a, b, c = _rows(work, place + 3)
         p, q, r = fma(z, b, fma(-y, c, p)), fma(x, c, fma(-z, a, q)), fma(y, a, fma(-x, b, r))
     return of(yz, zx, xy), of(xx, yy, zz), of(p, q, r)
 
@@ -353,8 +351,7 @@ def _stiff(work: Floats, stiffness: Floats, k: int) -> Vector:
     p = q = r = none
     for j in range(k + 1):
         row, place = _STIFFNESS * (k - j), _ORDER * j + ROTATION
-        a, b, c = (lanes.load(work, place), lanes.load(work, place + 1),
-                   lanes.load(work, place + 2))
+        a, b, c = _rows(work, place)
         p = fma(stiffness[row], a, fma(stiffness[row + 4], b, fma(stiffness[row + 8], c, p)))
         q = fma(stiffness[row + 1], a, fma(stiffness[row + 5], b, fma(stiffness[row + 9], c, q)))
         r = fma(stiffness[row + 2], a, fma(stiffness[row + 6], b, fma(stiffness[row + 10], c, r)))

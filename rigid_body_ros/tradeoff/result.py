@@ -139,8 +139,7 @@ class Tradeoff:
         recommended = [text for target in self.choices for text in _recommended(self, target)]
         return lines([*recommended, *_table(self, all_rows), '', *map(_pair, _facts(self))])
 
-    def __str__(self) -> str:
-        return self.text()
+    __str__ = text
 
     def rows(self) -> Iterator[tuple[str, str]]:
         """Generate the result for each target, followed by the limits of accuracy."""
