@@ -163,9 +163,9 @@ def test_the_python_interface_has_an_example_of_every_public_name():
         getattr(rigid_body_ros, module)).items() if getattr(found, '__module__', '').endswith(
             f'mechanics.{module}') and not name.startswith('_')]
     names = [*rigid_body_ros.__all__, *functions]
-    # Users do not type the names of classes that functions return.
+    # Users do not type the name of a class that a function returns.
     assert [name for name in names if not re.search(rf'\b{re.escape(name)}\b', shown)] == [
-        'Trajectories', 'Trajectory']
+        'Trajectories']
 
 
 def names_in_examples():
