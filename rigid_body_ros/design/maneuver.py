@@ -32,11 +32,12 @@ from rigid_body_ros.propagation import Problem
 TORQUE, TORQUE_RATE, RATE, ANGLE, WHEEL_SPEED = LIMITS = (
     'torque', 'torque_rate', 'rate', 'angle', 'wheel_speed')
 NO_LIMITS = dict.fromkeys(LIMITS, np.full(1, np.inf))
-#: Number of sines whose sum is the angular velocity about each axis.
-_SINES = 2
+#: Number of waves whose sum is the angular velocity about each axis, and the range of their
+#: shapes, from sines to triangles, which need a torque that jumps.
+_WAVES, _SHAPES = 2, (0.02, 0.995)
 #: The angular velocity rises from rest, and falls to rest, within this fraction of the time.
 _RAMP = 0.05
-#: Minimum number of samples of the torque in a period of a sine, and minimum number of periods.
+#: Minimum number of samples of the torque in a period of a wave, and minimum number of periods.
 _SAMPLES, _PERIODS = 8.0, 1.5
 #: The amplitude of a maneuver is corrected at most so often, until its largest load is nearly 1.
 _CORRECTIONS, _NEARLY = 8, 0.02
@@ -93,7 +94,7 @@ class Maneuvers:
     @cached_property
     def band(self) -> Floats:
         """
-        Return the lowest and the highest frequency of the sines, Hz.
+        Return the lowest and the highest frequency of the waves, Hz.
 
         At twice the frequency at which the torque begins to limit the motion more than its rate or
         angle, little of the motion is left.
@@ -108,19 +109,22 @@ class Maneuvers:
         """
         Return the bounds of the numbers that `motion` takes, shape (n, 2).
 
-        They are the amplitude, the logarithm of the frequency and the phase of each sine about
-        each axis, or the components of the initial angular velocity.
+        They are the amplitude, the logarithm of the frequency and the phase of each wave about
+        each axis, and the shape of the waves about each axis, or the components of the initial
+        angular velocity.
         """
-        sine = [(0.0, 1.0), np.log(self.band), (0.0, 2.0 * np.pi)]
-        return np.array([(-1.0, 1.0)] * 3 if self.is_free else 3 * _SINES * sine)
+        wave = [(0.0, 1.0), np.log(self.band), (0.0, 2.0 * np.pi)]
+        return np.array([(-1.0, 1.0)] * 3 if self.is_free else 3 * _WAVES * wave + 3 * [_SHAPES])
 
     def motion(self, numbers: Floats) -> Floats:
         """Return the motion of a maneuver, scaled to the limits, but only nearly within them."""
         if self.is_free:
             return self._scaled(numbers[None])
-        size, frequency, phase = np.moveaxis(numbers.reshape(3, _SINES, 3), 2, 0)[..., None]
-        sines = size * np.sin(2.0 * np.pi * np.exp(frequency) * self._times + phase)
-        return self._scaled(self._ramps(self._times, self.seconds) * sines.sum(axis=1).T)
+        waves, shape = numbers[:-3].reshape(3, _WAVES, 3), numbers[-3:, None, None]
+        size, frequency, phase = np.moveaxis(waves, 2, 0)[..., None]
+        sines = np.sin(2.0 * np.pi * np.exp(frequency) * self._times + phase)
+        rates = np.sum(size * np.arcsin(shape * sines) / np.arcsin(shape), axis=1).T
+        return self._scaled(self._ramps(self._times, self.seconds) * rates)
 
     def _scaled(self, motion: Floats) -> Floats:
         for _ in range(_CORRECTIONS):
