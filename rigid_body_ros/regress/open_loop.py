@@ -24,10 +24,10 @@ import pickle
 import struct
 from typing import Any, NamedTuple
 
-from rigid_body_ros.common.errors import listed, quoted
+from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.recording.all_messages import AllMessages
 from rigid_body_ros.regress.processes import Status
-from rigid_body_ros.regress.regression import CAUSES, Session, Span, Words
+from rigid_body_ros.regress.regression import CAUSES, missing, Session, Span, Words
 from rigid_body_ros.report.text import lines
 
 #: A function that decodes a message of a topic and a type into its fields, keyed by their paths.
@@ -229,8 +229,7 @@ class Answer:
 
 def _progress(status: Status) -> str:
     if not status.elapsed_ns:
-        return 'no node subscribes to one recorded topic and publishes another: nothing ' \
-            f'publishes {listed(status.unpublished)}'
+        return f'no node subscribes to one recorded topic and publishes another{missing(status)}'
     return f'its inputs reach {min(status.elapsed_ns.values()) * 1e-9:.9g} s of the recording'
 
 

@@ -299,9 +299,13 @@ def update(session: Session, span: Span, folder: Path,
     return Regression(reference, loop, first, changes, changes, tolerance)
 
 
+def missing(status: Status) -> str:
+    """Return the topics on which nothing publishes, as the end of an error, or ''."""
+    return f': nothing publishes {listed(status.unpublished)}' if status.unpublished else ''
+
+
 def _got(status: Status) -> str:
     if not status.elapsed_ns:
-        missing = f': nothing publishes {listed(status.unpublished)}' if status.unpublished else ''
-        return f'the node has accepted no torque{missing}'
+        return f'the node has accepted no torque{missing(status)}'
     seconds = min(status.elapsed_ns.values()) * 1e-9
     return f'its torques reach {seconds:.9g} s of the loop'
