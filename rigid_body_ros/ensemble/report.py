@@ -79,7 +79,9 @@ def required(requirement: Mapping[str, Any]) -> list[tuple[str, str]]:
         spread = _spread(requirement['percentiles'], requirement['unit'])
         facts.append(('', f'{_judged(requirement)}: {spread}'))
         if 'after_s' in requirement:
-            facts.append(('', f'settling time: {_spread(requirement["settling_time_s"], "s")}'))
+            facts.append(('', f'settling time of {requirement["settled"]} runs: '
+                          + _spread(requirement['settling_time_s'], 's')
+                          if requirement['settled'] else 'no run settles'))
     return facts
 
 
@@ -165,7 +167,7 @@ def _tables(requirement: Mapping[str, Any], replay: Callable[[int], str]) -> Ite
 
     The first table shows the effects of the parameters, and the second the worst runs.
     """
-    limit, unit = requirement['require'], requirement['unit']
+    limit, unit = _limit(requirement), requirement['unit']
     yield from _bars(f'parameter: {limit}', 'explains (R²)', strongest(requirement['effects']))
     worst = [(str(run['run']), f'{run["value"]:.3g} {unit}', replay(run['run']))
              for run in requirement['worst']]

@@ -117,7 +117,7 @@ class Requirement:
         -------
         settling_time : float, s
             When the requirement is violated for the last time, since the start. Zero if it never
-            is.
+            is, and NaN if it still is at the end.
         overshoot : float
             The largest excess over the limit, in the unit of the limit. Negative if there is none.
 
@@ -138,4 +138,4 @@ class Requirement:
         last = np.flatnonzero(crossed.directions)[-1:]
         settled_ns = float((crossed.times_ns[last] - start_ns + crossed.fractions[last]).sum())
         is_met = self.is_met(sign * excess(motion), 0.0)[0]
-        return (settled_ns if is_met else end_ns - start_ns) / 1e9, overshoot
+        return settled_ns / 1e9 if is_met else math.nan, overshoot

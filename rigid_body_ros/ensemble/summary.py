@@ -71,8 +71,9 @@ def judged(requirement: Requirement, ensemble: Ensemble, folder: Folder) -> dict
         runs never meet it. 'share' is 'met' divided by the number of all runs, and 'interval_95'
         is the 95 % confidence interval of 'share'. 'percentiles' and 'histogram' describe the
         quantity at the end or, with 'after_s', the overshoot. They are empty if all runs failed.
-        'settling_time_s' contains percentiles. 'worst' lists the worst runs. 'effects' says how
-        much each parameter affects the quantity or the overshoot.
+        'settling_time_s' contains percentiles of the 'settled' runs, which meet the limit at the
+        end. 'worst' lists the worst runs. 'effects' says how much each parameter affects the
+        quantity or the overshoot.
 
     """
     sign, more = 1.0 if requirement.relation[0] == '<' else -1.0, dict[str, Any]()
@@ -82,7 +83,8 @@ def judged(requirement: Requirement, ensemble: Ensemble, folder: Folder) -> dict
     else:
         settled, numbers = (folder.numbers(name) for name in requirement.columns)
         worse, limit = numbers, 0.0
-        more = {'after_s': requirement.after, 'settling_time_s': distribution(settled)[0]}
+        more = {'after_s': requirement.after, 'settled': int(np.isfinite(settled).sum()),
+                'settling_time_s': distribution(settled)[0]}
     met = int(requirement.is_met(sign * worse, limit).sum())  # NaN, in failed runs, is not met
     values, bars = distribution(numbers)
     order = np.argsort(-worse, kind='stable')[:_WORST]
