@@ -245,7 +245,7 @@ class LiveSession:
         """Call a private service of the node and return its response."""
         client = self.node.create_client(kind, f'/{NODE}/{name}')
         try:
-            client.wait_for_service(_PATIENCE_S)
+            self.wait_until(client.service_is_ready, f'the service {name}')
             return self._result(client.call_async(kind.Request(**fields)))
         finally:
             self.node.destroy_client(client)
@@ -311,5 +311,5 @@ class LiveSession:
                     writer.write(topic, kind.decode(data).stamp_ns, data)
 
     def _result(self, future):
-        self._executor.spin_until_future_complete(future, timeout_sec=_PATIENCE_S)
+        self.wait_until(future.done, 'a response')
         return future.result()
