@@ -30,13 +30,13 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 import numpy as np  # noqa: E402
 import rigid_body_ros as ros  # noqa: E402
-from rigid_body_ros.design.information import Question, Sensor  # noqa: E402
+from rigid_body_ros.design.information import Instrument, Question  # noqa: E402
 from rigid_body_ros.design.maneuver import Maneuvers, NO_LIMITS  # noqa: E402
 from rigid_body_ros.design.search import design  # noqa: E402
 import simulated  # noqa: E402
 
-SENSORS = [Sensor('/mocap', True, simulated.ATTITUDE_NOISE, simulated.SENSOR_HZ),
-           Sensor('/imu', False, simulated.RATE_NOISE, simulated.SENSOR_HZ)]
+SENSORS = [Instrument('/mocap', True, simulated.ATTITUDE_NOISE, simulated.SENSOR_HZ),
+           Instrument('/imu', False, simulated.RATE_NOISE, simulated.SENSOR_HZ)]
 
 
 class Vehicle(NamedTuple):

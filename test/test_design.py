@@ -34,7 +34,7 @@ from rigid_body_ros import (
 )
 from rigid_body_ros.commands import main
 from rigid_body_ros.design import search
-from rigid_body_ros.design.information import CRITERIA, Question, Sensor
+from rigid_body_ros.design.information import CRITERIA, Instrument, Question
 from rigid_body_ros.design.maneuver import Maneuvers, NO_LIMITS
 from rigid_body_ros.design.search import design
 from rigid_body_ros.mechanics import so3
@@ -44,7 +44,7 @@ from rigid_body_ros.scene import load
 BODY = RigidBody.from_moments(0.010, 0.012, 0.020)
 LIMITS = {'torque': np.array([0.1, 0.1, 0.05]), 'rate': np.array([2.0]), 'angle': np.array([0.7]),
           'torque_rate': np.array([1.0, 1.0, 0.5])}
-SENSORS = [Sensor('/mocap', True, 2e-3, 50.0), Sensor('/imu', False, 5e-3, 50.0)]
+SENSORS = [Instrument('/mocap', True, 2e-3, 50.0), Instrument('/imu', False, 5e-3, 50.0)]
 WHEELS = [Wheel(f'rw_{axis}', tuple(unit), 1e-4) for axis, unit in zip('xyz', np.eye(3))]
 COMMAND = ['--scene', str(CONFIG / 'tumbler.yaml'), '--limit', 'rate=1', '--duration', '6',
            '--sensors', '/imu:0.002,/mocap:0.002']
@@ -224,6 +224,9 @@ def test_a_spin_that_no_usual_one_replaces(capsys):
 
 @pytest.mark.parametrize(('arguments', 'message'), [
     (['--limit', 'torque=0.1', '--limit', 'angle=1,2'], 'angle: expected 1, found 2'),
+    (['--limit', 'torque=0.1', '--limit', 'torque=0.2'], 'torque: expected once, found it'),
+    (['--limit', 'torque=0.1', '--limit', 'wheel_speed=4'], 'wheel_speed: expected wheel_names'),
+    (['--limit', 'torque=0.1', '-o', 'fly.txt'], 'a name ending in .mcap or .csv, found fly.txt'),
     (['--limit', 'torque=0.1,0.1'], 'expected 1 number or 3, found 2'),
     (['--limit', 'torque=0.1,0.1,0'], 'expected a torque greater than zero about all axes'),
     ([], 'expected a torque greater than zero about all axes'),

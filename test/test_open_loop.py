@@ -269,8 +269,8 @@ def test_a_node_that_is_not_reproducible_is_called_so(path, capsys):
     (['no-such-command'], [], 'no-such-command: cannot be started: No such file or directory'),
     (command(DIES), [], 'expected a node that runs to the end of the recording, found that it '
      'ended with exit status 3; its inputs reach 0.37 s of the recording'),
-    (['sleep', MARK], ['--timeout', '6'], 'sleep: expected the recording to end within --timeout '
-     '6 s, found that no node subscribes to one recorded topic and publishes another: nothing '
+    (['sleep', MARK], ['--timeout', '12'], 'sleep: expected the recording to end within --timeout '
+     '12 s, found that no node subscribes to one recorded topic and publishes another: nothing '
      'publishes /control, /momentum, /odometry, /torque'),
     (command(FLOOD, 0.01), [], '/momentum: expected about as many messages as in the recording, '
      'found more than 1000 before'),

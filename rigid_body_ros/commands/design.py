@@ -23,14 +23,14 @@ from pathlib import Path
 import re
 from typing import TYPE_CHECKING
 
-from rigid_body_ros.commands.arguments import estimate, load_scene, prior
+from rigid_body_ros.commands.arguments import estimate, load_scene, note, prior
 from rigid_body_ros.commands.command import Command, Parser, positive, within
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, located
 from rigid_body_ros.runtime.terminal import progress
 
 if TYPE_CHECKING:
-    from rigid_body_ros.design.information import Sensor
+    from rigid_body_ros.design.information import Instrument
     from rigid_body_ros.design.maneuver import Maneuvers
     from rigid_body_ros.scene import Scene
 
@@ -46,6 +46,8 @@ def _run(options: argparse.Namespace) -> int:
     from rigid_body_ros.design.search import design
     output = options.output or ''
     is_csv = output.lower().endswith('.csv')
+    if output and not is_csv and Path(output).suffix.lower() != '.mcap':
+        raise InputError(f'-o: expected a name ending in .mcap or .csv, found {output}')
     with checked(options, (output, '.csv' if is_csv else '.mcap')) as outputs:
         scene = load_scene(options)
         maneuvers = _maneuvers(options, scene)
@@ -56,6 +58,9 @@ def _run(options: argparse.Namespace) -> int:
                             options.sensors, dict(options.prior), options.criterion)
         with located(options.scene):
             result = design(maneuvers, question, progress('designing', ' maneuvers'))
+        if not maneuvers.is_free and scene.start.angular_velocity.any():
+            note(options, f'{options.scene}: the maneuver starts at rest, without the '
+                          'initial_angular_velocity of the scene')
         if output:
             with outputs.writing(output):
                 result.write(output, scene)
@@ -70,7 +75,11 @@ def _maneuvers(options: argparse.Namespace, scene: Scene) -> Maneuvers:
     import numpy as np
     from rigid_body_ros.design.maneuver import Maneuvers, NO_LIMITS
     wheels, problem, limits = scene.named_wheels, scene.problem(), {**NO_LIMITS}
+    if not wheels and 'wheel_speed' in dict(options.limit):
+        raise InputError('--limit wheel_speed: expected wheel_names in the scene, found none')
     for name, values in options.limit:
+        if [given for given, _ in options.limit].count(name) > 1:
+            raise InputError(f'--limit {name}: expected once, found it several times')
         count = (len(wheels) or 3) if name.startswith('torque') else 1
         if len(values) not in (1, count):
             raise InputError(f'--limit {name}: expected {"1 number or " * (count > 1)}{count}, '
@@ -101,8 +110,8 @@ def _limit(text: str) -> tuple[str, list[float]]:
     return name, numbers if plain == values else [*map(math.radians, numbers)]
 
 
-def _sensors(text: str) -> list[Sensor]:
-    from rigid_body_ros.design.information import Sensor
+def _sensors(text: str) -> list[Instrument]:
+    from rigid_body_ros.design.information import Instrument
     sensors = []
     for part in text.split(','):
         found = _SENSOR.fullmatch(part.strip())
@@ -112,7 +121,7 @@ def _sensors(text: str) -> list[Sensor]:
                 f'not measure at 100 Hz, found {part!r}')
         topic, quantity, noise, hz = found.groups()
         is_attitude = quantity == ':attitude' if quantity else not _GYRO.search(topic)
-        sensors.append(Sensor(topic, is_attitude, positive(noise), positive(hz or '100')))
+        sensors.append(Instrument(topic, is_attitude, positive(noise), positive(hz or '100')))
     return sensors
 
 

@@ -41,7 +41,7 @@ _UNKNOWN = 10.0
 _ROUNDING = 1e-13
 
 
-class Sensor(NamedTuple):
+class Instrument(NamedTuple):
     """A sensor: its topic, its quantity, its noise (rad or rad/s) and its sample rate, Hz."""
 
     topic: str
@@ -60,7 +60,7 @@ class Question:
     names : sequence of str
         The parameters to estimate, as for `identify`, except that the start of the flight is
         always estimated.
-    sensors : sequence of Sensor
+    sensors : sequence of Instrument
     priors : dict of str to float or str
         What is known before the flight, as for `identify`.
     criterion : str
@@ -70,7 +70,7 @@ class Question:
     """
 
     names: Sequence[str]
-    sensors: Sequence[Sensor]
+    sensors: Sequence[Instrument]
     priors: Mapping[str, float | str]
     criterion: str = MINMAX
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import as_json, Floats
-from rigid_body_ros.design.information import Expected, Question, Sensor
+from rigid_body_ros.design.information import Expected, Instrument, Question
 from rigid_body_ros.design.maneuver import ANGLE, commands_of, FINE, Maneuvers
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.propagation import Problem
@@ -123,7 +123,7 @@ def _alternatives(maneuvers: Maneuvers, question: Question
     first = question.sensors[0]
     if all(sensor.is_attitude == first.is_attitude for sensor in question.sensors):
         what = 'rates' if first.is_attitude else 'attitude'
-        sensor = Sensor(f'/{what}', not first.is_attitude, first.noise, first.hz)
+        sensor = Instrument(f'/{what}', not first.is_attitude, first.noise, first.hz)
         yield f'{what} too', (maneuvers, replace(question, sensors=[*question.sensors, sensor]))
 
 
