@@ -37,7 +37,7 @@ HERE = Path(__file__).resolve().parent
 CONFIG = HERE.parent / 'config'
 RECORDING = HERE.parent / 'test' / 'recordings' / 'torque_free_intermediate_axis'
 #: The part of the page, px, and the time, s.
-SIZE, TIME = {'width': 1120, 'height': 900}, 8.6
+SIZE, TIME = {'width': 1120, 'height': 1008}, 8.6
 #: The dispersions of the ensemble.
 VARY = """inertia: {relative: 0.02}
 initial_attitude: {tilt: 0.02}
