@@ -35,6 +35,7 @@ html_math_renderer = 'mathml'
 exclude_patterns = ['_build']
 myst_enable_extensions = ['dollarmath']
 myst_heading_anchors = 4
+smartquotes = False  # options begin with two hyphens, not with a dash
 autodoc_typehints = 'none'  # the docstrings state types with shapes and units
 
 
