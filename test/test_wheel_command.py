@@ -338,6 +338,10 @@ def test_a_motion_in_batches_has_the_wheels_of_one_in_a_piece(limited, monkeypat
                                       getattr(whole.trajectory, name))
     assert parts.trajectory.at_limit == whole.trajectory.at_limit
     assert parts.warnings == whole.warnings
+    # No batch keeps the events of all earlier ones.
+    counts, (every,) = ([sum(map(len, part.events)) for part in result.trajectory._parts]
+                        for result in (parts, whole))
+    assert max(counts) < every
 
 
 def test_a_replay_reports_what_exceeds_the_limits_of_wheels(limited):

@@ -75,7 +75,8 @@ class Integration(Generic[Same]):
             self._wheels = self._wheels_from(axial, start, -NEVER_NS)
         self._start = start
         has_rotors = start._has_rotors or problem.is_coupled
-        #: When wheels have reached or left their largest speed since the timeline began.
+        #: When wheels have reached or left their largest speed: the last event of each wheel
+        #: before this piece, and all events in it; see `layout.Friction`.
         self._events = list[Ints]()
         self._timeline = self._timeline_from(
             start.time_ns, start._rotors if has_rotors else None)
@@ -253,6 +254,9 @@ class Integration(Generic[Same]):
         self._end_ns = end_ns
         usage = SolverUsage(self._body, self.problem.options, self._timeline, begin_ns,
                             end_ns, closed, self._wheels, tuple(self._events))
+        if self._events:
+            events = np.concatenate(self._events)[::-1]
+            self._events = [events[np.unique(events[:, 2], return_index=True)[1]]]
         if times_ns.size > count:
             times_ns = times_ns[:count]
         return Trajectory(times_ns, motion, (usage,), momenta, _restart=self._restart)

@@ -67,8 +67,8 @@ class SolverUsage(NamedTuple):
     closed: NDArray[np.bool_]
     #: The named wheels, or None if there are none.
     wheels: WheelTimeline | None = None
-    #: When wheels reach or leave their largest speed, from the beginning of the timeline; see
-    #: `layout.Friction`.
+    #: When wheels reach or leave their largest speed, with the last event of each wheel before
+    #: the start; see `layout.Friction`.
     events: Sequence[Ints] = ()
 
     def models(self) -> tuple[Model, ...]:
