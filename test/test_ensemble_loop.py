@@ -356,7 +356,7 @@ def test_requirements_are_read():
 def test_requirements_that_last_are_those_of_dense_samples():
     lasting = replace(ensemble('damp', *VARY), requirements=tuple(map(Requirement.read, (
         'rate < 34 deg/s after 0.7 s', 'angle_from_nominal <= 0.1 after 1 s',
-        'rate >= 0.55 after 0 s'))))
+        'rate >= 0.55 after 0 s', 'rate < 34.0 deg/s after 0.70 s'))))  # the last is the first
     rows, (_, nominal) = lasting.rows(0, 8), lasting._nominal
     at = np.arange(0, END_NS + 1, 10 ** 6)
     for run in range(8):

@@ -374,8 +374,10 @@ class Ensemble:
             interrupts.check()
             try:
                 motion, problem = self.solved(applied, row)
-                results[row] = [number for requirement in self.requirements for number in
-                                requirement.measured(problem, self.end_ns, self._nominal[1])]
+                results[row] = [*{  # a requirement that is repeated has its columns once
+                    name: number for requirement in self.requirements
+                    for name, number in zip(requirement.columns, requirement.measured(
+                        problem, self.end_ns, self._nominal[1]))}.values()]
                 motions[row] = motion
             except ValueError as error:
                 run = f'run {applied.runs[row]}: ' if self.controller else ''
