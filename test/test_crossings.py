@@ -151,8 +151,19 @@ def test_what_cannot_be_searched():
     with pytest.raises(ValueError, match=r'expected a finite number for each time, found shape '
                        r'\(9, 3\) for 9 times'):
         FREE.crossings(lambda motion: motion.angular_velocity)
+    with pytest.raises(ValueError, match='expected a finite number .*, found nan at 0 ns'):
+        FREE.maximum(lambda motion: rate(motion) * np.nan)
+    with pytest.raises(ValueError, match='level: expected a finite number, found inf'):
+        FREE.crossings(rate, np.inf)
+    with pytest.raises(ValueError, match='period: expected a number above 0, found nan'):
+        FREE.crossings(rate, 0.5, np.nan)
+    for from_ns in (-1, SECONDS * SECOND):
+        with pytest.raises(ValueError, match=rf'from_ns: expected .* found {from_ns} ns'):
+            FREE.maximum(rate, from_ns)
     whole = Integration(Problem(TOP, State()))
-    whole.advance([SECOND], SECOND)
-    whole.extend(whole.problem)
-    with pytest.raises(ValueError, match='expected a whole motion, found a piece of one'):
+    assert whole.advance([SECOND], SECOND).maximum(rate) == 0.0
+    with pytest.raises(ValueError, match='expected a whole motion.* found a piece of one'):
         whole.advance([2 * SECOND]).crossings(rate)
+    whole.extend(whole.problem)
+    with pytest.raises(ValueError, match='expected a whole motion.* found a piece of one'):
+        whole.advance([3 * SECOND]).maximum(rate)

@@ -110,6 +110,11 @@ def crossings(restart: Restart, function: Function, breaks_ns: Ints, level: floa
         See `Trajectory.crossings`.
 
     """
+    if not math.isfinite(level):
+        raise ValueError(f'level: expected a finite number, found {level!r}')
+    if not period > 0.0:
+        raise ValueError(f'period: expected a number above 0, found {period!r}')
+
     def relative(motion: Any) -> Floats:
         values = np.asarray(function(motion), float) - level
         return values - period * np.rint(values / period) if period < math.inf else values
@@ -187,9 +192,13 @@ def _sampled(computation: Any, function: Function, begins_ns: Ints,
     times_ns[-1] = ends_ns
     motion = computation.advance(times_ns.T.ravel())
     values = np.asarray(function(motion), float)
-    if values.shape != motion.times_ns.shape or not np.isfinite(values).all():
+    if values.shape != motion.times_ns.shape:
         raise ValueError('function: expected a finite number for each time, found shape '
                          f'{values.shape} for {times_ns.size} times')
+    if not (finite := np.isfinite(values)).all():
+        row = int(finite.argmin())
+        raise ValueError('function: expected a finite number for each time, found '
+                         f'{values[row]} at {motion.times_ns[row]} ns')
     speeds = np.linalg.norm(motion.angular_velocity, axis=1)
     values, speeds = (row.reshape(-1, _DEGREE + 1).T for row in (values, speeds))
     places = 2.0 * (times_ns - begins_ns) / spans - 1.0

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, Ints
+from rigid_body_ros.common.times import instant
 from rigid_body_ros.engine import motion_layout
 from rigid_body_ros.mechanics import euler, so3
 from rigid_body_ros.mechanics.body import RigidBody
@@ -248,8 +249,8 @@ class Trajectory:
         Raises
         ------
         ValueError
-            The function does not return a finite number for each time, or is not smooth; or this
-            trajectory is a piece of a motion.
+            The function does not return a finite number for each time, or is not smooth; the level
+            is not finite, or the period not above 0; or this trajectory is a piece of a motion.
 
         """
         return crossings(self._whole, function, self._breaks_ns, level, period)
@@ -266,13 +267,19 @@ class Trajectory:
         from_ns : int, optional, ns
             When to begin; by default, at the start of the motion.
 
+        Raises
+        ------
+        ValueError
+            See `crossings`; also if `from_ns` is before the start or not before the last time.
+
         """
         breaks_ns = self._breaks_ns
-        if from_ns is not None:
-            breaks_ns = np.append(from_ns, breaks_ns[breaks_ns > from_ns])
-        if breaks_ns.size < 2:
-            raise ValueError('maximum: expected a motion that ends later than it begins')
-        return maximum(self._whole, function, breaks_ns)
+        begin_ns = breaks_ns[0] if from_ns is None else instant(from_ns, 'from_ns')
+        if not breaks_ns[0] <= begin_ns < breaks_ns[-1]:
+            raise ValueError(f'from_ns: expected a time from the start ({breaks_ns[0]} ns) to '
+                             f'before the last time ({breaks_ns[-1]} ns), found {begin_ns} ns')
+        return maximum(self._whole, function, np.append(
+            begin_ns, breaks_ns[breaks_ns > begin_ns]))
 
     @property
     def _breaks_ns(self) -> Ints:
@@ -287,9 +294,11 @@ class Trajectory:
 
     @property
     def _whole(self) -> Restart:
-        if self._restart is None:
-            raise ValueError('crossings: expected a whole motion, found a piece of one')
-        return self._restart
+        restart = self._restart
+        if restart is None or restart().problem.start.time_ns != self._parts[0].start_ns:
+            raise ValueError('trajectory: expected a whole motion, such as that of propagate, '
+                             'found a piece of one')
+        return restart
 
     @cached_property
     def angular_momentum_space(self) -> Floats:
