@@ -309,12 +309,12 @@ def test_in_real_time_every_output_is_that_of_its_stamp(tmp_path, domain):
         ahead_ns = live.now_ns() + 3 * SECOND // 10
         live.publish_on(WHEELS, ahead_ns, [0.001, 0.0, 0.002])
         live.wait_until(lambda: live.accepted(WHEELS), 'the torque')
-        assert live.now_ns() < ahead_ns, 'a busy machine'
-        live.wait_until(lambda: max(live.outputs['imu/data'], default=0) > ahead_ns + SECOND // 5,
-                        'outputs')
+        known_ns = live.now_ns()  # on a busy machine, outputs before it may lack the torque
+        live.wait_until(lambda: max(live.outputs['imu/data'], default=0)
+                        > max(ahead_ns, known_ns) + SECOND // 5, 'outputs')
         flight = flown(tmp_path, live)
     imu, odometry, rotors = ({stamp_ns: message.values for stamp_ns, message in
-                              live.outputs[topic].items()}
+                              live.outputs[topic].items() if stamp_ns > known_ns}
                              for topic in ('imu/data', 'odometry', 'rotor_momentum'))
     run, stamps_ns = flight.scene, np.array([*imu])
     motion = flight.problem.propagate(
