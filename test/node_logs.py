@@ -16,7 +16,8 @@
 
 from conftest import CONFIG, SECOND
 import numpy as np
-from rigid_body_ros import messages, recording, State, TorqueLog
+import pytest
+from rigid_body_ros import messages, recording, scene, State, TorqueLog
 from rigid_body_ros.commands import main
 
 ACCEPTED, ACCEPTED_1, WHEELS = (f'/node/accepted_{name}' for name in (
@@ -85,6 +86,17 @@ def save(path, sent, topics=(ACCEPTED,)):
         for number, (topic, data) in enumerate(sent):
             writer.write(topic, 1_700_000_000 * SECOND + number * SECOND // 1000, data)
     return str(path)
+
+
+@pytest.fixture
+def run():
+    return scene.load(CONFIG / 'tumbler.yaml')
+
+
+@pytest.fixture
+def two(run, tmp_path):
+    """Return a recording of two epochs."""
+    return save(tmp_path / 'two.mcap', two_epochs(run))
 
 
 def without(sent, topic, *numbers):

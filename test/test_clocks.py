@@ -17,7 +17,7 @@
 from dataclasses import replace
 
 from conftest import at_night, SECOND
-from live import decoded, replayed, Session, TUMBLER
+from live import decoded, finished, replayed, Session, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE
 import numpy as np
 import pytest
@@ -67,15 +67,6 @@ def stamps(live):
 
 def accepted(live):
     return [message.stamp_ns for message in decoded(live, ACCEPTED, messages.WRENCH)]
-
-
-def finished(tmp_path, live):
-    """End a session; check that a replay of the accepted torques gives the committed states."""
-    live.dump_parameters(tmp_path / 'live.yaml')
-    assert live.stop() == 0
-    run = replayed(tmp_path, live)
-    np.testing.assert_array_equal(run.committed, run.replay)
-    return run
 
 
 def wobble(now_ns):

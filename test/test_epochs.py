@@ -30,9 +30,11 @@ from node_logs import (
     FIRST,
     MORE,
     rows,
+    run,
     save,
     SECOND_START,
     TORQUES,
+    two,
     two_epochs,
     WHEELS,
     without,
@@ -49,18 +51,8 @@ from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.replay.verify import verify
 from rigid_body_ros.scene import InputError
 
+run, two = run, two  # fixtures, used by their names
 ONE_MOTION = [name for name in COMMANDS if name not in ('replay', 'verify')]
-
-
-@pytest.fixture
-def run():
-    return scene.load(CONFIG / 'tumbler.yaml')
-
-
-@pytest.fixture
-def two(run, tmp_path):
-    """Return a recording of two epochs."""
-    return save(tmp_path / 'two.mcap', two_epochs(run))
 
 
 @pytest.mark.parametrize(('keep', 'block'), [(False, 2 ** 20), (True, 2 ** 12)])
