@@ -263,6 +263,18 @@ def run(capsys, bag, scene):
     return call
 
 
+@pytest.mark.parametrize(('option', 'suffix'), [
+    ('-o', '.mcap'), ('--json', '.json'), ('--plot', '.png'), ('--report', '.html')])
+def test_an_input_is_never_an_output(run, tmp_path, bag, scene, option, suffix):
+    for path in (bag, scene):
+        before, link = path.read_bytes(), tmp_path / f'{path.stem}{suffix}'
+        link.symlink_to(path)
+        status, shown, error = run(option, link, '--overwrite')
+        assert (status, shown) == (2, '')
+        assert f'{link}: would overwrite the ' in error
+        assert path.read_bytes() == before
+
+
 def test_a_horizon_shorter_than_the_spacing_is_an_error(run, bag):
     with memory_limit(100e6):
         status, shown, error = run('--horizon', '1e-9')
