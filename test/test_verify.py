@@ -31,9 +31,11 @@ from node_logs import (
     epoch,
     FIRST,
     rows,
+    run,
     save,
     SECOND_START,
     TORQUES,
+    two,
     two_epochs,
     without,
 )
@@ -45,7 +47,10 @@ from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import verify
 from rigid_body_ros.runtime.fingerprint import fingerprint
 from rigid_body_ros.scene import InputError
+from rosbags.highlevel import AnyReader
+import yaml
 
+run, two = run, two  # fixtures, used by their names
 TUMBLER, SCENE = RECORDINGS / 'tumbler.mcap', CONFIG / 'tumbler.yaml'
 
 
@@ -204,20 +209,26 @@ def test_a_recording_says_how_it_was_made(tmp_path):
     assert about['torques'] == 'tumbler.mcap'
 
 
+@pytest.mark.slow
+def test_a_folder_is_what_rosbag2_wants(tmp_path):
+    folder = tmp_path / 'motion'
+    replay(TUMBLER, scene.load(SCENE), folder)
+    assert sorted(path.name for path in folder.iterdir()) == ['metadata.yaml', 'motion_0.mcap']
+    about = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    ours = recording.read(folder, '/attitude', messages.QUATERNION)
+    assert about['message_count'] == 3 * len(ours)
+    assert about['starting_time']['nanoseconds_since_epoch'] == ours.stamps_ns[0]
+    with AnyReader([folder]) as reader:
+        assert {each.topic: each.msgcount for each in reader.connections} == dict.fromkeys(
+            ['/attitude', '/euler_angles', '/angular_velocity'], len(ours))
+        theirs = [reader.deserialize(data, each.msgtype).quaternion
+                  for each, _, data in reader.messages() if each.topic == '/attitude']
+    np.testing.assert_array_equal([[q.x, q.y, q.z, q.w] for q in theirs], ours.values)
+
+
 # Every committed state of every epoch in the log of a node
 
 MS = 10 ** 6
-
-
-@pytest.fixture
-def run():
-    return scene.load(CONFIG / 'tumbler.yaml')
-
-
-@pytest.fixture
-def two(run, tmp_path):
-    """Return a recording of two epochs."""
-    return save(tmp_path / 'two.mcap', two_epochs(run))
 
 
 @pytest.mark.parametrize('start_time', [0, SECOND_START.time_ns, 3])

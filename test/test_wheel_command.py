@@ -24,6 +24,7 @@ from geometry_msgs.msg import WrenchStamped
 from live import commit, decoded, PATIENT, run_clock, Session
 from live_session import COMMITTED, RELIABLE
 import numpy as np
+from pyarrow import parquet
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import EffortLog, messages, Propagator, read, recording, regress, scene, State
@@ -404,7 +405,8 @@ def test_compare_and_identify_know_the_wheels(tmp_path, flight, capsys):
             'rw_x' in capsys.readouterr().err
 
 
-def test_an_ensemble_knows_the_commands_of_wheels(flight):
+@pytest.mark.slow
+def test_an_ensemble_knows_the_commands_of_wheels(tmp_path, flight, monkeypatch):
     given, end_ns = read(flight, SCENE), SECOND + 299 * STEP_NS
     rows = Ensemble(given, end_ns, (Dispersion('inertia.ixx', 'normal', (0.001,)),
                                     Dispersion('clock_offset', 'normal', (0.01,))), 1).rows(0, 8)
@@ -415,6 +417,14 @@ def test_an_ensemble_knows_the_commands_of_wheels(flight):
     state = given.replaced(body=given.body.with_entries(entries), efforts=log).propagate(
         at=[end_ns])
     assert [rows[f'attitude.{axis}'][7] for axis in 'xyzw'] == state.attitude[0].tolist()
+    monkeypatch.setattr('rigid_body_ros.commands.ensemble._draw', lambda *given: None)
+    vary, out = tmp_path / 'vary.yaml', tmp_path / 'out'
+    vary.write_text('inertia.ixx: {normal: 0.001}\nclock_offset: {normal: 0.01}\n')
+    assert main.attitude_ensemble([
+        '--recording', str(flight), '--scene', str(SCENE), '--vary', str(vary), '--runs', '8',
+        '--seed', '1', '--workers', '1', '-o', str(out)]) == 0
+    table = parquet.read_table(out / 'runs.parquet')
+    assert table['attitude.x'].to_pylist() == rows['attitude.x'].tolist()
 
 
 @pytest.mark.nightly
