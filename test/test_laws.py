@@ -148,17 +148,18 @@ WAYS = {'auto': {}, 'taylor': {'solver': 'taylor'}, 'loose': {'tolerance': 1e-6}
 
 
 class Scene(NamedTuple):
-    """A scene: its terms, options, and timeout, s."""
+    """A scene: its terms, options, timeout, s, and the seed of its numbers and of the order."""
 
     terms: str
     way: str = 'auto'
     timeout: float = 0.0
+    seed: int = 0
 
     def __str__(self):
-        return f'{self.terms}, {self.way}, {self.timeout}'
+        return f'{self.terms}, {self.way}, {self.timeout}, {self.seed}'
 
     def problem(self):
-        random = np.random.default_rng(len(self.terms))
+        random = np.random.default_rng([len(self.terms), self.seed])
         return Problem(**{'body': PLAIN, 'start': START, **TERMS[self.terms](random)},
                        **WAYS[self.way], torque_timeout=self.timeout)
 
@@ -166,7 +167,7 @@ class Scene(NamedTuple):
 @lru_cache
 def computed(scene):
     """Return the problem of a scene, times in no order, and the motion at these times."""
-    problem, random = scene.problem(), np.random.default_rng(3)
+    problem, random = scene.problem(), np.random.default_rng([3, scene.seed])
     last = max(END, int(problem.stamps_ns[-1])) + SECOND
     stamps = problem.stamps_ns[problem.stamps_ns >= BEGIN]
     at = np.concatenate([random.integers(BEGIN, last, 20), random.permutation(stamps)[:20]])
@@ -193,9 +194,11 @@ LIVE = [
     Scene('actuator, each its own', 'rk4', 0.04), Scene('actuator, lag', 'auto'),
     *[Scene(terms, solver, 0.04) for terms, solver in (
         ('all, kept rate', 'auto'), ('all, free', 'rk4'), ('all, kept momentum', 'auto'))]]
-NIGHT = [scene for terms, way, _ in LIVE for timeout in (0.0, 0.04, 0.3)
-         if terms.startswith(('actuator', 'all'))
-         and (scene := Scene(terms, way, timeout)) not in LIVE]
+NIGHT = [*(scene for terms, way, *_ in LIVE for timeout in (0.0, 0.04, 0.3)
+           if terms.startswith(('actuator', 'all'))
+           and (scene := Scene(terms, way, timeout)) not in LIVE),
+         *(Scene(terms, 'auto', timeout, seed) for seed in range(1, 11)
+           for terms in ('coasts', 'sources', 'rotors', 'wheels') for timeout in (0.0, 0.03))]
 OFFLINE = [*LIVE, *[Scene(terms, solver, timeout) for terms in ('linear', 'cubic')
                     for solver, timeout in (('auto', 0.0), ('rk4', 0.12))]]
 each_live = pytest.mark.parametrize('scene', [*LIVE, *at_night(*[(one,) for one in NIGHT])],
@@ -213,7 +216,7 @@ def assert_states(propagator, at, motion):
 @each_live
 def test_any_order_of_arrival_and_any_questions_give_the_bits_of_the_logs(scene):
     problem, at, motion = computed(scene)
-    random, arriving = np.random.default_rng(45), calls(problem)
+    random, arriving = np.random.default_rng([45, scene.seed]), calls(problem)
     propagator = live(problem)
     for row in random.permutation(len(arriving)):
         name, time_ns, *rest = arriving[row]
@@ -231,7 +234,7 @@ def test_any_order_of_arrival_and_any_questions_give_the_bits_of_the_logs(scene)
 @each_live
 def test_a_state_older_than_the_history_is_final(scene):
     problem, at, motion = computed(scene)
-    random, arriving, history_ns = np.random.default_rng(4), calls(problem), SECOND
+    random, arriving, history_ns = np.random.default_rng([4, scene.seed]), calls(problem), SECOND
     propagator, newest, states = live(problem, history=history_ns / SECOND), BEGIN, {}
     due = [call[1] + random.integers(0, history_ns) for call in arriving]
     for row in np.argsort(due, kind='stable'):
@@ -251,7 +254,7 @@ def test_a_state_older_than_the_history_is_final(scene):
 @each_live
 def test_a_motion_restarted_at_any_time_continues_with_the_same_bits(scene):
     problem, at, motion = computed(scene)
-    whole, random = live(problem), np.random.default_rng(5)
+    whole, random = live(problem), np.random.default_rng([5, scene.seed])
     for call in calls(problem):
         assert applied(whole, call)
     for time_ns in [*random.choice(at, 2), int(STAMPS[7]), int(STAMPS[15])]:
