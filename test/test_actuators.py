@@ -215,4 +215,4 @@ def test_a_constant_torque_without_commands_has_no_actuator(actuator):
     found, expected = (Problem(BODY, START, **given).biased(np.array([1e-3, 0.0, 0.0]), SECOND)
                        for given in ({'actuator': actuator}, {}))
     assert_array_equal(found.propagate(at=[SECOND]).attitude,
-                                  expected.propagate(at=[SECOND]).attitude)
+                       expected.propagate(at=[SECOND]).attitude)

@@ -401,7 +401,7 @@ def test_a_body_at_rest_has_nothing_to_measure(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_part_of_a_pathis_measured_whatever_the_solver_of_the_scene(tmp_path, capsys):
+def test_a_part_of_a_recording_is_measured_whatever_the_solver_of_the_scene(tmp_path, capsys):
     exact, figures = tmp_path / 'exact.yaml', tmp_path / 'figures.json'
     exact.write_text((CONFIG / 'tumbler.yaml').read_text() + '    solver: exact\n')
     part = ['--from', '1.5', '--until', '4', '--json', str(figures)]
