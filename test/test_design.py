@@ -46,6 +46,7 @@ LIMITS = {'torque': np.array([0.1, 0.1, 0.05]), 'rate': np.array([2.0]), 'angle'
           'torque_rate': np.array([1.0, 1.0, 0.5])}
 SENSORS = [Instrument('/mocap', True, 2e-3, 50.0), Instrument('/imu', False, 5e-3, 50.0)]
 WHEELS = [Wheel(f'rw_{axis}', tuple(unit), 1e-4) for axis, unit in zip('xyz', np.eye(3))]
+START_NS = 1767225600 * SECOND
 COMMAND = ['--scene', str(CONFIG / 'tumbler.yaml'), '--limit', 'rate=1', '--duration', '6',
            '--sensors', '/imu:0.002,/mocap:0.002']
 
@@ -182,17 +183,18 @@ def test_a_profile_can_be_replayed(tmp_path, suffix, capsys):
     profile, motion = tmp_path / f'fly{suffix}', tmp_path / 'motion.mcap'
     page, scene = tmp_path / 'page.html', load(CONFIG / 'tumbler.yaml')
     still = tmp_path / 'still.yaml'
-    still.write_text((CONFIG / 'tumbler.yaml').read_text().split('    initial_')[0])
-    arguments = ['--scene', str(still), *COMMAND[2:], '--limit', 'torque=0.1', '-o', str(profile),
-                 '--report', str(page)]
+    still.write_text((CONFIG / 'tumbler.yaml').read_text().split('    initial_')[0]
+                     + f'    start_time: {START_NS}\n')
+    arguments = ['--scene', str(still), *COMMAND[2:], '--limit', 'torque=0.1', '--rate', '30',
+                 '-o', str(profile), '--report', str(page)]
     assert main.attitude_design(arguments) == 0
     assert main.attitude_replay([str(profile), '--scene', str(still), '-o', str(motion)]) == 0
     problem = read(profile, still)
-    torques = problem.logs[0].torques
-    assert (np.abs(torques) <= 0.1).all()
-    assert np.abs(torques).max() > 0.01
-    end_ns = int(problem.logs[0].times_ns[-1])
-    final = propagate(scene.body, State(0), problem.logs[0], at=[end_ns])
+    log = problem.logs[0]
+    assert (log.times_ns == START_NS + np.round(np.arange(181) * (1e9 / 30.0))).all()
+    assert (np.abs(log.torques) <= 0.1).all()
+    assert np.abs(log.torques).max() > 0.01
+    final = propagate(scene.body, State(START_NS), log, at=log.times_ns[-1:])
     assert np.abs(final.angular_velocity).max() < 1e-2
     assert {'torque', 'angular velocity, body axes'} <= {
         panel['label'] for panel in data_of(page.read_text())['panels']}

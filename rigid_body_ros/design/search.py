@@ -50,7 +50,7 @@ _TORQUE_HZ, _SENSOR_HZ = 20.0, 5.0
 #: A limit is named as one that limits the maneuver if its load is above this number.
 _ACTIVE = 0.98
 #: The heading of a CSV file.
-_HEADING = 'time (s),tx (Nm),ty (Nm),tz (Nm),qx,qy,qz,qw,wx (rad/s),wy (rad/s),wz (rad/s)'
+_HEADING = 'time_ns,tx (Nm),ty (Nm),tz (Nm),qx,qy,qz,qw,wx (rad/s),wy (rad/s),wz (rad/s)'
 
 
 def design(maneuvers: Maneuvers, question: Question, track: Track = no_progress) -> Design:
@@ -225,10 +225,11 @@ class Design:
         times_ns, commands = self.maneuvers.times_ns, commands_of(self.flown)
         motion, wheels = self.flown.propagate(at=times_ns), self.flown.named_wheels
         if path.lower().endswith('.csv'):
-            columns = 1e-9 * times_ns, commands, motion.attitude, motion.angular_velocity
+            values = np.hstack([commands, motion.attitude, motion.angular_velocity])
+            rows = (','.join(map(repr, [time_ns, *row]))
+                    for time_ns, row in zip(times_ns.tolist(), values.tolist()))
             with files.atomic_output(path, '.csv') as part:
-                np.savetxt(part, np.column_stack(columns), '%.17g', ',', header=_HEADING,
-                           comments='')
+                part.write_text('\n'.join([_HEADING, *rows, '']), encoding='ascii')
             return
         topic, kind, values = (
             '/wheel_command', messages.joint_states(wheels.names),
