@@ -230,8 +230,9 @@ def test_a_spin_that_no_usual_one_replaces(capsys):
     (['--limit', 'torque=0.1', '--limit', 'wheel_speed=4'], 'wheel_speed: expected wheel_names'),
     (['--limit', 'torque=0.1', '-o', 'fly.txt'], 'a name ending in .mcap or .csv, found fly.txt'),
     (['--limit', 'torque=0.1,0.1'], 'expected 1 number or 3, found 2'),
-    (['--limit', 'torque=0.1,0.1,0'], 'expected a torque greater than zero about all axes'),
-    ([], 'expected a torque greater than zero about all axes'),
+    (['--limit', 'torque=0.1,0.1,0'], 'torque=0 and a rate, found torque=0.1,0.1,0'),
+    ([], 'expected a torque greater than zero about all axes, or torque=0 and a rate, found no '
+     'torque'),
     (['--limit', 'torque=0', '-o', 'a.mcap'], 'expected none without torque'),
     (['--limit', 'torque=0.1', '--prior', 'weight=1'], 'prior: expected parameters'),
     (['--limit', 'torque=0.1', '--estimate', 'gyro_bias@/other'], 'expected a topic among')])
@@ -243,7 +244,9 @@ def test_a_mistake_is_one_line(arguments, message, capsys, monkeypatch, tmp_path
 
 
 @pytest.mark.parametrize(('option', 'value', 'message'), [
-    ('--limit', 'speed=1', 'a name among torque'), ('--limit', 'angle=-1', 'expected a number'),
+    ('--limit', 'speed=1', 'a name among torque'),
+    ('--limit', 'torque=-1', 'torque: expected a number'),
+    ('--limit', 'angle=40grad', "found '40grad'; degrees end in deg"),
     ('--sensors', '/imu', 'TOPIC:rates:RAD/S')])
 def test_a_malformed_option_is_named(option, value, message, capsys):
     with pytest.raises(SystemExit) as ended:

@@ -52,8 +52,8 @@ def _run(options: argparse.Namespace) -> int:
         scene = load_scene(options)
         maneuvers = _maneuvers(options, scene)
         if output and (maneuvers.is_free or (is_csv and scene.named_wheels)):
-            raise InputError('-o: expected none without torque, and not .csv for commands of '
-                             f'wheels, found {output}')
+            raise InputError('-o: expected none without torque, and .mcap for named wheels, '
+                             f'found {output}')
         question = Question([name for name in options.estimate if name != 'start'],
                             options.sensors, dict(options.prior), options.criterion)
         with located(options.scene):
@@ -74,6 +74,7 @@ def _maneuvers(options: argparse.Namespace, scene: Scene) -> Maneuvers:
     """Return the maneuvers within the given limits, and those of the motors of the scene."""
     import numpy as np
     from rigid_body_ros.design.maneuver import Maneuvers, NO_LIMITS
+    from rigid_body_ros.report.text import numbers
     wheels, problem, limits = scene.named_wheels, scene.problem(), {**NO_LIMITS}
     if not wheels and 'wheel_speed' in dict(options.limit):
         raise InputError('--limit wheel_speed: expected wheel_names in the scene, found none')
@@ -93,20 +94,27 @@ def _maneuvers(options: argparse.Namespace, scene: Scene) -> Maneuvers:
                                            for wheel in wheels])
     is_free = not limits['torque'].any() and np.isfinite(limits['rate'])
     if not is_free and not (np.isfinite(limits['torque']) & (limits['torque'] > 0.0)).all():
+        found = f'torque={numbers(limits["torque"], 6, ",")}' \
+            if np.isfinite(limits['torque']).any() else 'no torque'
         raise InputError('--limit: expected a torque greater than zero about all axes, or '
-                         f'torque=0 and a rate, found torque={limits["torque"].tolist()}')
+                         f'torque=0 and a rate, found {found}')
     return Maneuvers(problem, limits, options.duration, options.rate)
 
 
 def _limit(text: str) -> tuple[str, list[float]]:
     from rigid_body_ros.design.maneuver import LIMITS
     name, _, values = text.partition('=')
-    plain = values.removesuffix('deg') if name in ('rate', 'angle') else values
+    is_angle = name in ('rate', 'angle')
+    plain = values.removesuffix('deg') if is_angle else values
     if name not in LIMITS:
         raise argparse.ArgumentTypeError(
             f'expected NAME=VALUE with a name among {", ".join(LIMITS)}, found {text!r}')
-    numbers = [0.0 if number == '0' and name == 'torque' else positive(number)
-               for number in plain.split(',')]
+    try:
+        numbers = [0.0 if number == '0' and name == 'torque' else positive(number)
+                   for number in plain.split(',')]
+    except argparse.ArgumentTypeError as error:
+        hint = '; degrees end in deg' if is_angle else ''
+        raise argparse.ArgumentTypeError(f'{name}: {error}{hint}') from error
     return name, numbers if plain == values else [*map(math.radians, numbers)]
 
 
