@@ -229,6 +229,7 @@ def test_a_spin_that_no_usual_one_replaces(capsys):
     (['--limit', 'torque=0.1', '--limit', 'torque=0.2'], 'torque: expected once, found it'),
     (['--limit', 'torque=0.1', '--limit', 'wheel_speed=4'], 'wheel_speed: expected wheel_names'),
     (['--limit', 'torque=0.1', '-o', 'fly.txt'], 'a name ending in .mcap or .csv, found fly.txt'),
+    (['--limit', 'torque=0.1', '--rate', '3'], '24 samples of the torque, found 6 s at 3 Hz'),
     (['--limit', 'torque=0.1,0.1'], 'expected 1 number or 3, found 2'),
     (['--limit', 'torque=0.1,0.1,0'], 'torque=0 and a rate, found torque=0.1,0.1,0'),
     ([], 'expected a torque greater than zero about all axes, or torque=0 and a rate, found no '
@@ -243,9 +244,16 @@ def test_a_mistake_is_one_line(arguments, message, capsys, monkeypatch, tmp_path
     assert message in error
 
 
+def test_a_sensor_measures_during_the_maneuver(capsys):
+    assert main.attitude_design([*COMMAND[:-1], '/imu:0.002,/mocap:0.002@0.1', '--limit',
+                                 'torque=0.1']) == 2
+    assert '/mocap: expected a measurement' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(('option', 'value', 'message'), [
     ('--limit', 'speed=1', 'a name among torque'),
     ('--limit', 'torque=-1', 'torque: expected a number'),
+    ('--limit', 'angle=40', "angle: expected at most pi rad, found '40'; degrees end in deg"),
     ('--limit', 'angle=40grad', "found '40grad'; degrees end in deg"),
     ('--sensors', '/imu', 'TOPIC:rates:RAD/S')])
 def test_a_malformed_option_is_named(option, value, message, capsys):

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 #: The exit statuses of the command, which are explained in docs/commands.md.
 OK, PARTIAL = 0, 3
+#: Minimum number of samples of the torque in a maneuver.
+_SAMPLES = 24
 #: A topic whose name contains one of these words measures rates by default.
 _GYRO = re.compile('gyro|imu|rate|angular_velocity')
 _SENSOR = re.compile(r'([^:@]+)(:attitude|:rates)?:([^:@]+)(?:@([^:@]+))?')
@@ -98,6 +100,13 @@ def _maneuvers(options: argparse.Namespace, scene: Scene) -> Maneuvers:
             if np.isfinite(limits['torque']).any() else 'no torque'
         raise InputError('--limit: expected a torque greater than zero about all axes, or '
                          f'torque=0 and a rate, found {found}')
+    if not is_free and options.duration * options.rate < _SAMPLES:
+        raise InputError(f'--duration: expected at least {_SAMPLES} samples of the torque, found '
+                         f'{options.duration:g} s at {options.rate:g} Hz; see --rate')
+    for sensor in options.sensors:
+        if options.duration * sensor.hz < 1.0:
+            raise InputError(f'--sensors: {sensor.topic}: expected a measurement during the '
+                             f'maneuver, found {sensor.hz:g} Hz in {options.duration:g} s')
     return Maneuvers(problem, limits, options.duration, options.rate)
 
 
@@ -112,10 +121,13 @@ def _limit(text: str) -> tuple[str, list[float]]:
     try:
         numbers = [0.0 if number == '0' and name == 'torque' else positive(number)
                    for number in plain.split(',')]
+        numbers = numbers if plain == values else [*map(math.radians, numbers)]
+        if name == 'angle' and max(numbers) > math.pi:
+            raise argparse.ArgumentTypeError(f'expected at most pi rad, found {values!r}')
     except argparse.ArgumentTypeError as error:
         hint = '; degrees end in deg' if is_angle else ''
         raise argparse.ArgumentTypeError(f'{name}: {error}{hint}') from error
-    return name, numbers if plain == values else [*map(math.radians, numbers)]
+    return name, numbers
 
 
 def _sensors(text: str) -> list[Instrument]:

@@ -45,8 +45,9 @@ _POPULATION, _TRIALS, _OTHERS = 24, 4080, 240
 _NEAR = 0.05
 #: Number of bodies, drawn from a prior of the inertia, for which a maneuver is also good.
 _DRAWS = 3
-#: The search computes torques and samples at no more than these rates, Hz.
-_TORQUE_HZ, _SENSOR_HZ = 20.0, 5.0
+#: The search computes torques and samples at no more than these rates, Hz, but in a short flight
+#: it computes at least so many samples.
+_TORQUE_HZ, _SENSOR_HZ, _SAMPLES = 20.0, 5.0, 20.0
 #: A limit is named as one that limits the maneuver if its load is above this number.
 _ACTIVE = 0.98
 #: The heading of a CSV file.
@@ -64,7 +65,7 @@ def design(maneuvers: Maneuvers, question: Question, track: Track = no_progress)
 
     """
     some = maneuvers.flown(maneuvers.motion(maneuvers.bounds[:, 1]))
-    bodies = _bodies(some.body, question.expected(some, maneuvers.seconds, _SENSOR_HZ))
+    bodies = _bodies(some.body, question.expected(some, maneuvers.seconds))
     best, flown, expected = _best(maneuvers, question, bodies, track)
     flights = [('', flown, expected)]
     for name, motion in maneuvers.usual():
@@ -92,7 +93,9 @@ def _best(maneuvers: Maneuvers, question: Question, bodies: list[RigidBody], tra
           near: Floats | None = None) -> tuple[Floats, Problem, Expected]:
     """Return the numbers and the flight of the best maneuver, and what it tells."""
     from scipy.optimize import differential_evolution  # slow to import
-    quick = replace(maneuvers, hz=min(maneuvers.hz, _TORQUE_HZ))
+    least_hz = _SAMPLES / maneuvers.seconds
+    quick = replace(maneuvers, hz=min(maneuvers.hz, max(_TORQUE_HZ, least_hz)))
+    sensor_hz = max(_SENSOR_HZ, least_hz)
     bounds, random = quick.bounds, np.random.default_rng(0)
     trials = _OTHERS if near is not None else _TRIALS // len(bodies)
     first = random.random((_POPULATION, len(bounds))) if near is None else \
@@ -103,7 +106,7 @@ def _best(maneuvers: Maneuvers, question: Question, bodies: list[RigidBody], tra
     def cost(trial: Floats) -> float:
         next(steps, None)
         flown = quick.flown(quick.motion(trial))
-        return max(question.expected(flown.replaced(body=body), maneuvers.seconds, _SENSOR_HZ)
+        return max(question.expected(flown.replaced(body=body), maneuvers.seconds, sensor_hz)
                    .cost(question.criterion) for body in bodies)
     found = differential_evolution(
         cost, bounds, init=bounds[:, 0] + np.clip(first, 0.0, 1.0) * np.ptp(bounds, axis=1),
