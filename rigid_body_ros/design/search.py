@@ -166,7 +166,7 @@ class Design:
             return f'no maneuver within these limits determines {", ".join(names)}'
         widest, (name, best) = self.expected.widest, min(
             self.usual.items(), key=lambda pair: pair[1].widest)
-        compared = f'{best.widest / widest:.2g} times narrower than after a {name}' \
+        compared = f'after a {name} within {100.0 * best.widest:.2g} %' \
             if np.isfinite(best.widest) else 'which no usual maneuver achieves'
         return f'all intervals within {100.0 * widest:.2g} % of their scales, {compared}'
 
