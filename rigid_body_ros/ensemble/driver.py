@@ -58,7 +58,7 @@ def identity_of(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[st
         'recording': recording_hash(problem), 'start_ns': problem.start.time_ns,
         'end_ns': ensemble.end_ns, 'times': times,
         **({'controller': f'{controller.name} {controller.digest}'} if controller else {}),
-        **({'require': list(ensemble._results)} if ensemble.requirements else {}),
+        **({'columns': list(ensemble._results)} if ensemble.requirements else {}),
         'versions': {**fingerprint(), 'scipy': version('scipy')}})))
 
 
