@@ -30,7 +30,7 @@ from rigid_body_ros.recording.measurements import read_measured
 from rigid_body_ros.recording.ulog_file import UlogFile
 from tumbling import INERTIA, Truth
 
-pytest.importorskip('pyulog')
+pytest.importorskip('pyulog', reason='pyulog is not installed')
 #: us; a log begins some time after boot.
 BOOT = 60_000_000
 GAINS = np.array([0.08, 0.05, 0.02])
