@@ -32,6 +32,7 @@ import psutil
 import pytest
 import rigid_body_ros
 from rigid_body_ros import messages, propagate, recording, scene, State
+from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -178,6 +179,39 @@ def _install(folder):
     subprocess.run([*pip, 'install', '--no-deps', '--ignore-installed', '--prefix',
                     folder / 'prefix', wheel], check=True)
     (folder / 'installed').touch()
+
+
+@pytest.fixture
+def refusal(capsys):
+    """Return a function that runs a command, expects one line of error, and returns the line."""
+    def run(command, *arguments):
+        capsys.readouterr()
+        assert getattr(main, command)([*map(str, arguments)]) == 2
+        captured = capsys.readouterr()
+        line, = captured.err.splitlines()
+        assert line.startswith(f'{command}: error: ')
+        assert captured.out == ''
+        return line
+    return run
+
+
+@pytest.fixture
+def scene_with(tmp_path):
+    """Return a function that adds lines to a scene, and returns the path of the new scene."""
+    def write(*lines, base=CONFIG / 'tumbler.yaml'):
+        path = tmp_path / 'scene.yaml'
+        path.write_text(base.read_text() + ''.join(f'    {line}\n' for line in lines))
+        return str(path)
+    return write
+
+
+def write_torques(path, rows, topic='/torque', kind=recording.Writer):
+    """Write WrenchStamped messages from rows of stamp, frame_id and torque; return the path."""
+    with kind(path) as writer:
+        writer.add_topic(topic, messages.WRENCH)
+        for stamp_ns, frame_id, torque in rows:
+            writer.write(topic, int(stamp_ns), messages.wrench(int(stamp_ns), frame_id, torque))
+    return str(path)
 
 
 def program(command):

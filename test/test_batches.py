@@ -32,6 +32,8 @@ FIELDS = {'fields': ['pivot'], 'pivot.moment.z': -0.02, 'pivot.field.z': -9.81,
 @pytest.mark.parametrize(('interpolation', 'options', 'fields'), [
     ('hold', {}, {}), ('linear', {'rate': 37.0}, {}), ('cubic', {'until': 7.3}, {}),
     ('cubic', {'rate': 37.0}, FIELDS), ('hold', {'until': 7.3}, FIELDS),
+    ('hold', {'start': 20.005, 'until': 1.0, 'rate': 100.0}, {}),
+    ('hold', {'start': 20.005, 'until': 1.0, 'rate': 100.0}, {'start_time': EPOCH_NS}),
     *at_night(('linear', {'until': 900.0}, FIELDS))], ids=str)
 def test_a_recording_in_pieces_gives_the_bits_of_the_whole(tmp_path, monkeypatch, interpolation,
                                                            options, fields):

@@ -78,6 +78,7 @@ NAMES = ': expected recordings with different names, found {} and {}'
     *(([*paths, '-o', 'out'], f'out/x.mcap{NAMES.format(*paths)}') for paths in (
         ['a/x.mcap', 'b/x.mcap'], ['a/x.mcap', 'a/x.csv'], ['x.mcap', 'x.mcap'],
         ['a/x', 'b/x/'])),
+    (['x.csv', 'y.csv'], '-o: expected a folder for several recordings, found none'),
     (['x.csv', 'y.csv', '-o', 'motion.mcap'], 'motion.mcap: expected a folder for several '
      'recordings, found a name ending in .mcap'),
     (['a.csv', 'b.csv', '-o', 'out', '--overwrite'], 'b.mcap: would overwrite the input')])

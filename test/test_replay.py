@@ -14,14 +14,13 @@
 
 """attitude_replay: the numbers of the library, a summary, a picture, and one-line errors."""
 
-from dataclasses import replace
 import os
 import signal
 import subprocess
 import sys
 
 import bags
-from conftest import at_night, CONFIG, EPOCH_NS, program, RECORDINGS, SECOND
+from conftest import at_night, CONFIG, EPOCH_NS, program, RECORDINGS, SECOND, write_torques
 import matplotlib.image
 import numpy as np
 import pytest
@@ -37,6 +36,7 @@ from rigid_body_ros.scene import InputError
 from rosbags.highlevel import AnyReader
 
 ISS = (str(RECORDINGS / 'iss.mcap'), '--scene', str(CONFIG / 'iss.yaml'))
+TORQUES, TUMBLER = RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml')
 COMMAND = program('attitude_replay')
 
 
@@ -45,12 +45,8 @@ def output(tmp_path):
     return tmp_path / 'motion.mcap'
 
 
-def write_torques(path, rows, topic='/torque'):
-    with recording.Writer(path) as writer:
-        writer.add_topic(topic, messages.WRENCH)
-        for stamp_ns, frame_id, torque in rows:
-            writer.write(topic, stamp_ns, messages.wrench(stamp_ns, frame_id, torque))
-    return str(path)
+def attitudes(path):
+    return recording.read(path, '/attitude', messages.QUATERNION)
 
 
 @pytest.mark.parametrize(('options', 'seconds'), [
@@ -64,7 +60,7 @@ def write_torques(path, rows, topic='/torque'):
     (('--from', '35', '--duration', '85'), [40, 60, 80, 100, 120])])
 def test_output_times(output, options, seconds):
     assert main.attitude_replay([*ISS, '-o', str(output), *options]) == 0
-    stamps = recording.read(output, '/attitude', messages.QUATERNION).stamps_ns
+    stamps = attitudes(output).stamps_ns
     np.testing.assert_array_equal(stamps - EPOCH_NS, np.round(np.array(seconds) * 1e9))
 
 
@@ -73,14 +69,6 @@ PLAIN = ('time_ns,qx,qy,qz,qw,phi (rad),theta (rad),psi (rad),'
          'wx (rad/s),wy (rad/s),wz (rad/s)')
 WHEELS = {'wheel_names': ['rw_x', 't'], 'rw_x.axis.x': 1.0, 'rw_x.inertia': 1e-4,
           'rw_x.initial_speed': 30.0, 't.axis.y': 1.0, 't.inertia': 2e-4}
-
-
-def table(path):
-    """Return the headings, times and other values of a CSV file, read with Python alone."""
-    heading, *lines = path.read_text().splitlines()
-    rows = [line.split(',') for line in lines]
-    return heading, [int(row[0]) for row in rows], np.array([[*map(float, row[1:])]
-                                                             for row in rows])
 
 
 @pytest.mark.parametrize(('values', 'heading'), [
@@ -92,7 +80,7 @@ def table(path):
              'speed_t (rad/s),effort_t (Nm)')])
 def test_a_motion_in_csv_has_all_bits(tmp_path, monkeypatch, values, heading):
     monkeypatch.setattr('rigid_body_ros.replay.batches._LARGEST', 4)
-    tumbler = scene.Scene.from_values({**scene.load(CONFIG / 'tumbler.yaml').values, **values})
+    tumbler = scene.Scene.from_values({**TUMBLER.values, **values})
     log = write_torques(tmp_path / 'log.mcap', [
         (EPOCH_NS + k * 7_000_001, '', (0.1 * k, 0.0, -0.2)) for k in range(10)])
     path = tmp_path / 'motion.CSV'
@@ -103,50 +91,43 @@ def test_a_motion_in_csv_has_all_bits(tmp_path, monkeypatch, values, heading):
         expected.append(motion.rotor_momentum)
     for wheel in range(len(tumbler.named_wheels)):
         expected += [motion.wheel_speeds[:, [wheel]], motion.wheel_efforts[:, [wheel]]]
-    headings, times_ns, found = table(path)
-    assert headings == heading
-    assert times_ns == motion.times_ns.tolist()
-    np.testing.assert_array_equal(found, np.hstack(expected))
-    by_numpy = np.genfromtxt(path, delimiter=',', names=True, dtype=None)
-    assert by_numpy['time_ns'].tolist() == times_ns
-    np.testing.assert_array_equal(by_numpy['qw'], motion.attitude[:, 3])
+    assert path.read_text().splitlines()[0] == heading
+    rows = np.genfromtxt(path, delimiter=',', names=True, dtype=None)
+    assert rows['time_ns'].tolist() == motion.times_ns.tolist()
+    np.testing.assert_array_equal([[*row][1:] for row in rows.tolist()], np.hstack(expected))
     measured = read_measured(str(path))
     np.testing.assert_array_equal(measured.stamps_ns, motion.times_ns)
     np.testing.assert_array_equal(measured.attitude, so3.normalize(motion.attitude))
     np.testing.assert_array_equal(measured.angular_velocity, motion.angular_velocity)
 
 
-def test_the_start_time_of_the_scene_counts(tmp_path, output):
-    config = tmp_path / 'late.yaml'
-    config.write_text((CONFIG / 'iss.yaml').read_text()
-                      + f'    start_time: {EPOCH_NS + 1010 * SECOND}\n')
-    assert main.attitude_replay([ISS[0], '--scene', str(config), '-o', str(output)]) == 0
-    stamps = recording.read(output, '/attitude', messages.QUATERNION).stamps_ns
-    assert stamps[0] == EPOCH_NS + 1020 * SECOND
-    config.write_text((CONFIG / 'iss.yaml').read_text()
-                      + f'    start_time: {EPOCH_NS + 30000 * SECOND}\n')
-    assert main.attitude_replay([ISS[0], '--scene', str(config), '-o', str(output)]) == 2
+def test_the_start_time_of_the_scene_counts(output, scene_with, refusal):
+    def late(seconds):
+        return [ISS[0], '-o', str(output), '--scene', scene_with(
+            f'start_time: {EPOCH_NS + seconds * SECOND}', base=CONFIG / 'iss.yaml')]
+    assert main.attitude_replay(late(1010)) == 0
+    assert attitudes(output).stamps_ns[0] == EPOCH_NS + 1020 * SECOND
+    assert 'start_time' in refusal('attitude_replay', *late(30000), '--overwrite')
 
 
-def test_interpolation_is_that_of_the_option_or_of_the_scene(tmp_path):
-    config = tmp_path / 'cubic.yaml'
-    config.write_text((CONFIG / 'tumbler.yaml').read_text() + '    interpolation: cubic\n')
-    recorded = RECORDINGS / 'tumbler.mcap'
-    ends = {name: replay(recorded, scene.load(path), interpolation=name,
-                         until=0.5).trajectory.attitude[-1]
-            for path, name in ((CONFIG / 'tumbler.yaml', 'cubic'), (config, None),
-                               (config, 'hold'), (CONFIG / 'tumbler.yaml', 'linear'))}
+def test_interpolation_is_that_of_the_option_or_of_the_scene(scene_with):
+    cubic = scene.load(scene_with('interpolation: cubic'))
+    ends = {name: replay(TORQUES, loaded, interpolation=name, until=0.5).trajectory.attitude[-1]
+            for loaded, name in ((TUMBLER, 'cubic'), (cubic, None), (cubic, 'hold'))}
     np.testing.assert_array_equal(ends['cubic'], ends[None])
     assert not np.array_equal(ends['cubic'], ends['hold'])
 
 
-def test_the_summary_tells_what_happened(output, capsys):
-    assert main.attitude_replay([*ISS, '-o', str(output)]) == 0
-    text = capsys.readouterr().out
+def test_the_summary_tells_what_happened_also_without_an_output(output, capsys):
+    printed = []
+    for arguments in ((), ('-o', str(output))):
+        assert main.attitude_replay([*ISS, *arguments]) == 0
+        text = capsys.readouterr().out
+        printed.append([line for line in text.splitlines() if not line.startswith('speed')])
+    assert printed[1] == [*printed[0], f'wrote         {output}']
     for part in ('1441 on /torque, over 28800 s', 'hold (attitude_tradeoff shows',
                  'asymmetric top', 'taylor (auto: ', '28800 s after the start',
-                 'work and energy differ by', ', checked over all 28800 s\n', 'times real time',
-                 str(output)):
+                 'work and energy differ by', ', checked over all 28800 s\n', 'times real time'):
         assert part in text
     assert main.attitude_replay([
         str(RECORDINGS / 'torque_free_asymmetric.mcap'), '--scene',
@@ -213,19 +194,6 @@ def test_any_file_name_makes_a_title_of_a_picture(tmp_path):
     assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 100
 
 
-def test_without_an_output_a_replay_prints_the_same_summary(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    printed = []
-    for arguments in (('-o', 'motion.mcap'), ()):
-        assert main.attitude_replay([*ISS, *arguments]) == 0
-        lines = capsys.readouterr().out.splitlines()
-        if arguments:
-            assert lines.pop() == 'wrote         motion.mcap'
-        printed.append([line for line in lines if not line.startswith('speed')])
-    assert printed[0] == printed[1]
-    assert {path.name for path in tmp_path.iterdir()} == {'motion.mcap'}
-
-
 @pytest.mark.parametrize(('rows', 'more', 'message'), [
     (None, '', 'bad.mcap: cannot read the recording: No such file or directory'),
     ([], '', 'bad.mcap: /torque: expected torques, found no message'),
@@ -238,18 +206,14 @@ def test_without_an_output_a_replay_prints_the_same_summary(tmp_path, monkeypatc
     ([(EPOCH_NS, '', [1, 0, 0])], 'inertias: {ixx: 1.0}',
      'scene.yaml: inertias.ixx: unknown key; did you mean inertia.ixx?'),
     ([(EPOCH_NS, '', [1, 0, 0])], None, 'scene.yaml: cannot read the scene: No such file')])
-def test_a_mistake_is_answered_by_one_line(rows, more, message, tmp_path, output, capsys):
+def test_a_mistake_is_answered_by_one_line(rows, more, message, tmp_path, output, scene_with,
+                                           refusal):
     path, config = tmp_path / 'bad.mcap', tmp_path / 'scene.yaml'
     if rows is not None:
         write_torques(path, rows)
     if more is not None:
-        config.write_text(f'{(CONFIG / "tumbler.yaml").read_text()}    {more}\n')
-    assert main.attitude_replay([str(path), '--scene', str(config), '-o', str(output)]) == 2
-    captured = capsys.readouterr()
-    line, = captured.err.splitlines()
-    assert line.startswith('attitude_replay: error: ')
-    assert message in line
-    assert not captured.out
+        scene_with(more)
+    assert message in refusal('attitude_replay', path, '--scene', config, '-o', output)
     assert not output.exists()
 
 
@@ -263,7 +227,6 @@ def test_a_mistake_is_answered_by_one_line(rows, more, message, tmp_path, output
     (('-o', 'motion.mcap', '--plot', 'p.pdf'), 'p.pdf: expected a name ending in .png, found'),
     (('-o', 'x' * 300), 'cannot write: File name too long'),
     (('--also', 'imu'), '--also: expected an output file or folder (-o), found none'),
-    ((ISS[0],), '-o: expected a folder for several recordings, found none'),
     (('--until', '1e9'), '--until: expected an end at or before the latest'),
     (('--rate', '1e9', '-o', 'motion.mcap'), '--rate: expected at most 100000000 outputs'),
     (('--from', '5', '--until', '5'), '--until: expected more than --from, 5 s, found 5 s'),
@@ -273,14 +236,11 @@ def test_a_mistake_is_answered_by_one_line(rows, more, message, tmp_path, output
      "-o: expected the option at most once, found 'a.mcap' and 'b.mcap'"),
     (('--also', 'imu', '--also', 'tf'), '--also: expected the option at most once, found '),
     ((f'--scene={ISS[2]}',), '--scene: expected the option at most once, found ')])
-def test_a_mistake_in_the_options_is_one_line(arguments, message, tmp_path, monkeypatch, capsys):
+def test_a_mistake_in_the_options_is_one_line(arguments, message, tmp_path, monkeypatch, refusal):
     monkeypatch.chdir(tmp_path)
     pipe = tmp_path / 'pipe.mcap'  # not a device, which broken code would replace as root
     os.mkfifo(pipe)
-    assert main.attitude_replay([*arguments, *ISS] if arguments == (ISS[0],) else [
-        *ISS, *arguments]) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert message in line
+    assert message in refusal('attitude_replay', *ISS, *arguments)
     assert [*tmp_path.iterdir()] == [pipe]
     assert pipe.is_fifo()
 
@@ -291,15 +251,7 @@ def test_torques_logged_after_the_latest_stamp_are_rejected(tmp_path, output):
         writer.write('/torque', 2 ** 62, messages.wrench(EPOCH_NS, '', (1.0, 0.0, 0.0)))
     with pytest.raises(InputError, match='late.mcap: expected an end at or before the latest ROS '
                        f'stamp, {messages.LAST_NS} ns, found {2 ** 62} ns'):
-        replay(tmp_path / 'late.mcap', scene.load(CONFIG / 'tumbler.yaml'), output,
-               time_source='log')
-
-
-@pytest.mark.parametrize('option', ['start', 'until'])
-def test_a_negative_duration_is_rejected(output, option):
-    with pytest.raises(ValueError, match='expected seconds from 0 to 1e'):
-        replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'), output,
-               **{option: -1.0})
+        replay(tmp_path / 'late.mcap', TUMBLER, output, time_source='log')
 
 
 @pytest.mark.parametrize('arguments', [('--verify', 'x'), ('--rate', '0'), ('--until', '1e300'),
@@ -381,8 +333,7 @@ def test_a_command_that_is_called_leaves_signals_to_its_caller(output):
 
 @pytest.mark.slow
 def test_imu_and_tf_are_written_on_request(tmp_path, output):
-    loaded = scene.load(CONFIG / 'tumbler.yaml')
-    replay(RECORDINGS / 'tumbler.mcap', loaded, output, also=('imu', 'tf'))
+    replay(TORQUES, TUMBLER, output, also=('imu', 'tf'))
     attitude, imu, transform = (recording.read(output, topic, kind) for topic, kind in (
         ('/attitude', messages.QUATERNION), ('/imu/data', messages.IMU),
         ('/tf', messages.TRANSFORM)))
@@ -394,41 +345,27 @@ def test_imu_and_tf_are_written_on_request(tmp_path, output):
     np.testing.assert_array_equal(transform.values[:, 3:], attitude.values)
 
 
-def test_what_cannot_be_written_besides_is_refused(output):
-    with pytest.raises(InputError, match="also: expected some of imu, tf, .*found 'x'"):
-        replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'), output,
-               also=('imu', 'x'))
+@pytest.mark.parametrize(('options', 'message'), [
+    ({'start': -1.0}, 'expected seconds from 0 to 1e'),
+    ({'until': -1.0}, 'expected seconds from 0 to 1e'),
+    ({'also': ('imu', 'x')}, "also: expected some of imu, tf, .*found 'x'")])
+def test_wrong_values_are_rejected(output, options, message):
+    with pytest.raises(ValueError, match=message):
+        replay(TORQUES, TUMBLER, output, **options)
 
 
 @pytest.mark.parametrize(('keep', 'interpolation'), [
     (False, 'hold'), (True, 'linear'), (False, 'cubic')])
 def test_a_motion_from_a_time_on_is_under_the_torque_of_this_time(output, keep, interpolation):
-    source = recording.read(RECORDINGS / 'tumbler.mcap')
-    result = replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'), output,
-                    start=1.2512, until=2.0, keep=keep, interpolation=interpolation)
+    source = recording.read(TORQUES)
+    result = replay(TORQUES, TUMBLER, output, start=1.2512, until=2.0, keep=keep,
+                    interpolation=interpolation)
     assert result.start.time_ns == source.stamps_ns[0] + 1_251_200_000
     assert result.start.time_ns not in source.stamps_ns
     assert result.last.time_ns == result.start.time_ns + 2 * SECOND
     motion = propagate(result.scene.body, result.start, recording.torque_log(
         '', source, 'base_link', 'world', interpolation), at=[result.last.time_ns])
     np.testing.assert_array_equal(motion.attitude[0], result.last.attitude)
-
-
-def test_a_motion_may_start_after_many_pieces_of_the_torque_and_after_the_start_time(
-        tmp_path, output, monkeypatch):
-    monkeypatch.setattr('rigid_body_ros.recording.torques._SAMPLES', 100)
-    run = scene.load(CONFIG / 'tumbler.yaml')
-    rows = [(EPOCH_NS + k * SECOND // 1000, '', [1e-3 * (k % 7), 0.0, 0.0]) for k in range(1500)]
-    log = write_torques(tmp_path / 'long.mcap', rows)
-    times_ns = EPOCH_NS + 1_250_500_000 + 10_000_000 * np.arange(10)
-    motion = propagate(run.body, replace(run.start, time_ns=int(times_ns[0])), TorqueLog(
-        [row[0] for row in rows], [row[2] for row in rows]), at=times_ns)
-    for start_ns in (0, EPOCH_NS):
-        late = replace(run, start=replace(run.start, time_ns=start_ns))
-        replay(log, late, output, start=1.2505, until=0.1, rate=100.0)
-        found = recording.read(output, '/attitude', messages.QUATERNION)
-        np.testing.assert_array_equal(found.stamps_ns[:10], times_ns)
-        np.testing.assert_array_equal(found.values[:10], motion.attitude)
 
 
 @pytest.mark.slow
@@ -448,12 +385,11 @@ def test_the_input_is_copied_byte_for_byte_on_request(tmp_path, name):
         '/attitude', '/euler_angles', '/angular_velocity'}
 
 
-def test_an_input_with_the_topics_of_the_output_is_not_copied(tmp_path, capsys):
+def test_an_input_with_the_topics_of_the_output_is_not_copied(tmp_path, refusal):
     first, again = tmp_path / 'first.mcap', tmp_path / 'again.mcap'
     assert main.attitude_replay([*ISS, '-o', str(first), '--also', 'input']) == 0
-    assert main.attitude_replay([str(first), *ISS[1:], '-o', str(again), '--also', 'input']) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert 'cannot copy topics that are also written: ' in line
+    assert 'cannot copy topics that are also written: ' in refusal(
+        'attitude_replay', first, *ISS[1:], '-o', again, '--also', 'input')
     assert not again.exists()
 
 
@@ -462,87 +398,78 @@ def test_messages_compressed_one_by_one_are_copied_as_they_were(tmp_path):
     sent = bags.torques()
     sent.values[:6] = 0.0  # no motion follows from it
     source = bags.FORMS['rosbag2-mcap-message'](tmp_path, bags.traffic(sent))
-    replay(source, scene.load(CONFIG / 'tumbler.yaml'), tmp_path / 'motion.mcap', also=('input',))
+    replay(source, TUMBLER, tmp_path / 'motion.mcap', also=('input',))
     read = [recording.read(path) for path in (source, tmp_path / 'motion.mcap')]
     np.testing.assert_array_equal(read[0].values, read[1].values)
 
 
-def test_what_cannot_be_copied_is_told_before_anything_is_worked_out(tmp_path, output, capsys):
-    (tmp_path / 'log.csv').write_text('1,0,0,0\n2,0.1,0,0\n')
-    assert main.attitude_replay([str(tmp_path / 'log.csv'), '--scene',
-                                 str(CONFIG / 'tumbler.yaml'), '-o', str(output), '--also',
-                                 'input']) == 2
-    assert 'log.csv: expected an MCAP file, because only its messages' in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ['log.csv']
+def test_what_cannot_be_copied_is_told_before_anything_is_worked_out(tmp_path, output, refusal):
+    path = tmp_path / 'log.csv'
+    path.write_text('1,0,0,0\n2,0.1,0,0\n')
+    assert 'log.csv: expected an MCAP file, because only its messages' in refusal(
+        'attitude_replay', path, *ISS[1:], '-o', output, '--also', 'input')
+    assert [*tmp_path.iterdir()] == [path]
 
 
 @pytest.mark.parametrize('name', ['motion.mcap', 'motion.csv'])
-def test_a_motion_that_cannot_go_on_leaves_nothing(tmp_path, monkeypatch, capsys, name):
+def test_a_motion_that_cannot_go_on_leaves_nothing(tmp_path, monkeypatch, refusal, name):
     monkeypatch.setattr('rigid_body_ros.replay.batches._LARGEST', 4)
     monkeypatch.setattr('rigid_body_ros.recording.torques._SAMPLES', 4)
     torques = write_torques(tmp_path / 'wild.mcap', [
         (EPOCH_NS + k * SECOND // 1000, '', [0.0 if k < 90 else 1e30, 0.0, 0.0])
         for k in range(100)])
-    assert main.attitude_replay([torques, *ISS[1:], '-o', str(tmp_path / name)]) == 2
-    assert 'turns faster than' in capsys.readouterr().err
+    assert 'turns faster than' in refusal('attitude_replay', torques, *ISS[1:], '-o',
+                                          tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == ['wild.mcap']
 
 
-def stopped_clock(path, gap, torque=(0.1, 0.05, 0.02), count=50):
-    """Write torques every 10 ms, with a gap in the middle, s."""
-    seconds = 1000.0 + np.arange(2 * count) * 0.01
-    seconds[count:] += gap
-    path.write_text(''.join(f'{t:.3f},{",".join(map(str, torque))}\n' for t in seconds))
-    return [str(path), '--scene', str(CONFIG / 'tumbler.yaml')]
+@pytest.fixture
+def stopped(tmp_path, scene_with):
+    """Return a function that writes torques every 10 ms with a gap, s, and returns arguments."""
+    def write(gap, torque=(0.1, 0.05, 0.02), *lines, name='gap.csv'):
+        seconds = 1000.0 + np.arange(100) * 0.01
+        seconds[50:] += gap
+        (tmp_path / name).write_text(''.join(
+            f'{t:.3f},{",".join(map(str, torque))}\n' for t in seconds))
+        return [str(tmp_path / name), '--scene', scene_with(*lines)]
+    return write
 
 
 @pytest.mark.slow
-def test_a_torque_over_a_long_gap_is_warned_of(tmp_path, capsys):
-    arguments = stopped_clock(tmp_path / 'gap.csv', 20.0)
+def test_a_torque_over_a_long_gap_is_warned_of(tmp_path, capsys, stopped):
+    arguments = stopped(20.0)
     assert main.attitude_replay(arguments) == 0
     shown = capsys.readouterr().out
     assert 'longest gap   20.01 s between torques, from 0.49 s after the start\n' in shown
     assert ('warning       a torque acts for 20.01 s until the next one, from 0.49 s after the '
             'start, although torques are usually 0.01 s apart: ') in shown
-    second = stopped_clock(tmp_path / 'second.csv', 20.0)[0]
+    second, *_ = stopped(20.0, name='second.csv')
     assert main.attitude_replay([second, *arguments, '-o', str(tmp_path / 'out')]) == 0
     assert capsys.readouterr().out.count('; warning: a torque acts for 20.01 s') == 2
 
 
-@pytest.mark.parametrize(('gap', 'torque', 'options', 'longest'), [
-    (0.9, (0.1, 0.0, 0.0), [], '0.91 s between torques, from 0.49 s'),
-    (20.0, (0.0, 0.0, 0.0), [], '20.01 s'),
-    (20.0, (0.1, 0.0, 0.0), ['--until', '0.9'], '0.41 s'),
-    (20.0, (0.1, 0.0, 0.0), ['--from', '20.6'], '0.01 s')])
-def test_a_gap_without_consequence_is_only_named(tmp_path, capsys, gap, torque, options, longest):
-    assert main.attitude_replay([*stopped_clock(tmp_path / 'gap.csv', gap, torque), *options]) == 0
+@pytest.mark.parametrize(('gap', 'options', 'longest'), [
+    ((0.9,), [], '0.91 s between torques, from 0.49 s'),
+    ((20.0, (0.0, 0.0, 0.0)), [], '20.01 s'),
+    ((20.0, (0.1, 0.0, 0.0), 'torque_timeout: 0.5'), [], '20.01 s'),
+    ((20.0,), ['--until', '0.9'], '0.41 s'), ((20.0,), ['--from', '20.6'], '0.01 s')])
+def test_a_gap_without_consequence_is_only_named(capsys, stopped, gap, options, longest):
+    assert main.attitude_replay([*stopped(*gap), *options]) == 0
     shown = capsys.readouterr().out
     assert f'longest gap   {longest}' in shown
     assert 'warning' not in shown
 
 
-def test_a_torque_that_times_out_is_not_warned_of(tmp_path, capsys):
-    text = (CONFIG / 'tumbler.yaml').read_text()
-    (tmp_path / 'scene.yaml').write_text(f'{text}    torque_timeout: 0.5\n')
-    arguments = stopped_clock(tmp_path / 'gap.csv', 20.0)
-    assert main.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 0
-    assert 'warning' not in capsys.readouterr().out
-
-
-@pytest.mark.parametrize('scene_lines', ['', '    damping: {dxx: 1e-9, dyy: 1e-9, dzz: 1e-9}\n'])
-def test_a_torque_that_acts_for_ten_years_is_refused(tmp_path, capsys, scene_lines):
-    (tmp_path / 'scene.yaml').write_text((CONFIG / 'tumbler.yaml').read_text() + scene_lines)
-    arguments = stopped_clock(tmp_path / 'gap.csv', 3.2e8)
-    assert main.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 2
-    line, = capsys.readouterr().err.splitlines()
+@pytest.mark.parametrize('lines', [(), ('damping: {dxx: 1e-9, dyy: 1e-9, dzz: 1e-9}',)])
+def test_a_torque_that_acts_for_ten_years_is_refused(stopped, refusal, lines):
+    line = refusal('attitude_replay', *stopped(3.2e8, (0.1, 0.05, 0.02), *lines))
     assert 'at 1000490000000 ns acts until 320001000500000000 ns, for 320000000 s: ' in line
     assert 'check the clock that set the stamps, or set torque_timeout' in line
 
 
 @pytest.mark.slow
-def test_a_body_without_torque_may_turn_for_ten_years(tmp_path):
-    path = tmp_path / 'gap.csv'
-    arguments = stopped_clock(path, 3.2e8, (0.0, 0.0, 0.0))
+def test_a_body_without_torque_may_turn_for_ten_years(tmp_path, stopped):
+    arguments, path = stopped(3.2e8, (0.0, 0.0, 0.0)), tmp_path / 'gap.csv'
     path.write_text(path.read_text().replace('320001000.500,0.0,', '320001000.500,0.1,'))
     assert main.attitude_replay(arguments) == 0
 
