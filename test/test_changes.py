@@ -114,21 +114,6 @@ def test_the_later_of_two_bodies_with_one_stamp_is_used():
                          for changes in (twice, once)))
 
 
-def test_a_body_that_is_too_old_is_dropped():
-    propagator = Propagator(BODY, START, history=0.5)
-    propagator.apply(2 * SECOND, (0.0, 0.0, 0.1))
-    assert not propagator.apply_body(SECOND + SECOND // 2, SMALLER)
-    assert propagator.apply_body(SECOND + SECOND // 2 + 1, SMALLER)
-
-
-def test_a_body_without_change_changes_only_the_last_digits():
-    at = np.arange(0, 3 * SECOND, 10 ** 8)
-    changes = BodyLog([SECOND], [BODY], 'momentum')
-    one, other = propagate(BODY, START, at=at, changes=changes), propagate(BODY, START, at=at)
-    assert abs(one.attitude - other.attitude).max() < 1e-15
-    assert abs(one.angular_velocity - other.angular_velocity).max() < 1e-15
-
-
 def recorded(path, torques, inertias):
     """Write a recording with torques (stamp, torque) and inertias (stamp, entries)."""
     with recording.Writer(path) as writer:

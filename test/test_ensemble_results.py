@@ -178,19 +178,6 @@ def test_the_page_has_the_histogram_and_the_correlations(kind):
 
 
 @pytest.mark.slow
-def test_a_page_that_exists_is_kept(arguments, tmp_path, capsys):
-    target = tmp_path / 'page.html'
-    target.write_text('precious')
-    assert main.attitude_ensemble([*arguments, '--report', str(target)]) == 2
-    assert capsys.readouterr().err == (f'attitude_ensemble: error: {target}: output exists; '
-                                       'choose another name, or add --overwrite\n')
-    assert target.read_text() == 'precious'
-    assert not (tmp_path / 'out' / 'runs.parquet').exists()
-    assert main.attitude_ensemble([*arguments, '--report', str(target), '--overwrite']) == 0
-    assert '<title>scene.yaml: 400 runs</title>' in target.read_text()
-
-
-@pytest.mark.slow
 def test_no_picture_if_all_runs_failed(arguments, tmp_path, capsys):
     (tmp_path / 'vary.yaml').write_text('inertia.izz: {uniform: [-2.0, -1.0]}\n')
     assert main.attitude_ensemble(arguments) == 2

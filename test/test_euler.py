@@ -177,28 +177,6 @@ def test_rates_grow_large_only_where_degenerate_says_so(sequence):
     assert 0 < np.count_nonzero(marked) < len(marked)
 
 
-def test_the_three_axes_of_313_are_space_z_line_of_nodes_body_z():
-    angles = euler.from_quaternion(Q)
-    to_body = so3.conjugate(Q)
-    space_z, node, body_z = np.moveaxis(euler.rotation_axes(angles), -2, 0)
-    np.testing.assert_allclose(space_z, so3.rotate(to_body, [0.0, 0.0, 1.0]), atol=8 * EPS)
-    np.testing.assert_array_equal(body_z, np.broadcast_to([0.0, 0.0, 1.0], body_z.shape))
-    # The line of nodes, where the two xy planes meet, is at the angle phi from space X.
-    along = np.stack([np.cos(angles[:, 0]), np.sin(angles[:, 0]), np.zeros(len(Q))], axis=1)
-    np.testing.assert_allclose(so3.rotate(Q, node), along, atol=8 * EPS)
-    np.testing.assert_allclose(np.cross(space_z, body_z),
-                               np.sin(angles[:, 1:2]) * node, atol=8 * EPS)
-
-
-def test_313_rates_are_goldsteins():
-    (_, theta, psi), rates = np.array([0.4, 0.9, 2.1]), np.array([0.7, -0.2, 0.5])
-    expected = [rates[0] * np.sin(theta) * np.sin(psi) + rates[1] * np.cos(psi),
-                rates[0] * np.sin(theta) * np.cos(psi) - rates[1] * np.sin(psi),
-                rates[0] * np.cos(theta) + rates[2]]
-    np.testing.assert_allclose(euler.angular_velocity([0.4, theta, psi], rates), expected,
-                               atol=2 * EPS)
-
-
 @pytest.mark.parametrize('sequence', ALL)
 def test_rates_are_the_time_derivative_of_the_angles_and_undone_by_their_inverse(sequence):
     h = 1e-4

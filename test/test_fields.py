@@ -232,6 +232,18 @@ def test_the_body_goes_round_the_planet_about_the_normal():
     np.testing.assert_allclose(torque, [0.0, 0.0, expected], atol=1e-13)
 
 
+def test_a_small_swing_in_orbit_has_the_frequency_of_libration():
+    n, (radial, along, normal), angle = 0.3, (1.0, 2.0, 2.5), 1e-5
+    frequency = n * np.sqrt(3.0 * (along - radial) / normal)  # Hughes, chapter 9
+    at = (np.arange(17) * 0.25e9 * np.pi / frequency).astype(np.int64)
+    start = State(0, so3.exp([0.0, 0.0, angle]), (0.0, 0.0, n))
+    swing = Problem(RigidBody.from_moments(radial, along, normal), start,
+                    fields=[GravityGradient(n)]).propagate(at=at)
+    vertical = so3.exp(np.outer(n * at / 1e9, [0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(so3.difference(vertical, swing.attitude)[:, 2],
+                               angle * np.cos(frequency * at / 1e9), atol=2e-14)
+
+
 @pytest.mark.parametrize('rate', [1.1e-3, 7.3, 1e-200])
 def test_directions_after_many_turns_are_as_exact_as_before(rate, fifty_digits):
     orbit = GravityGradient(rate, (1.0, 2.0, 3.0), (3.0, 0.0, -1.0), -SECOND // 3)

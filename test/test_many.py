@@ -23,7 +23,7 @@ import subprocess
 import sys
 import time
 
-from conftest import at_night, CONFIG, EPOCH_NS, NAME, RECORDINGS, ROOT, SECOND
+from conftest import at_night, CONFIG, NAME, RECORDINGS, ROOT
 import numpy as np
 import pytest
 from rigid_body_ros import messages, recording
@@ -161,21 +161,6 @@ def test_a_process_that_is_killed_is_told(tmp_path, two_long_ones):
     ('2024.11.22', '2024.11.22'), ('.mcap', '.mcap')])
 def test_a_motion_has_the_name_of_its_recording(path, name):
     assert outputs_in('out', [path]) == [f'out/{name}.mcap']
-
-
-@pytest.mark.slow
-def test_torques_as_text_are_read_to_the_nanosecond_and_the_last_bit(tmp_path):
-    random = np.random.default_rng(2)
-    stamps = EPOCH_NS + np.cumsum(random.integers(1, SECOND, 2000))
-    torques = random.normal(size=(len(stamps), 3))
-    lines = [f'{stamp // SECOND}.{stamp % SECOND:09},{x!r},{y!r},{z!r}'
-             for stamp, (x, y, z) in zip(stamps.tolist(), torques.tolist())]
-    path = tmp_path / 'torque.csv'
-    path.write_text('\n'.join(['t,tx,ty,tz', *lines, '']))
-    found = recording.read(path)
-    np.testing.assert_array_equal(found.stamps_ns, stamps)
-    np.testing.assert_array_equal(found.values[:, 3:], torques)
-    assert set(found.frame_ids) == {''}
 
 
 @pytest.mark.parametrize(('text', 'message'), [

@@ -20,7 +20,6 @@ from conftest import ROOT
 import numpy as np
 import pairs
 import peers
-from peers import LEVELS, Rung, US
 import pytest
 
 PAGE = (ROOT / 'docs' / 'tradeoff.md').read_text(encoding='utf-8')
@@ -63,25 +62,6 @@ class Contender:
 
     def run(self):
         self._log.append(self.name)
-
-
-def rung(random, error, seconds):
-    times = seconds * random.uniform(0.7, 1.6, pairs.ROUNDS)
-    times[random.random(pairs.ROUNDS) < 0.3] = np.nan
-    return Rung(None, 'setting', error, float(np.nanmedian(times)), times)
-
-
-@pytest.mark.parametrize('seed', range(6))
-def test_the_ratio_of_a_table_is_that_of_its_columns(seed):
-    random = np.random.default_rng(seed)
-
-    def some():
-        return [rung(random, 10.0 ** random.uniform(-13, -3), 10.0 ** random.uniform(-5, -3))
-                for _ in range(random.integers(0, 6))]
-    results = {name: ({who: some() for who in (US, 'a', 'b', 'c')},)
-               for name in ('P1', 'P2', 'P3')}
-    for level in LEVELS:
-        check_ratios(peers.table(level, results)[2:-1])
 
 
 def test_a_duel_is_level_only_if_the_interval_of_its_rounds_has_1_in_it():

@@ -45,18 +45,6 @@ def test_samples_are_met_and_the_last_is_held(interpolation):
     np.testing.assert_array_equal(log.at([TIMES[0] - 1])[0], [[0.0, 0.0, 0.0]])
 
 
-def test_hold_keeps_a_torque_up_to_the_next_sample():
-    log = TorqueLog(TIMES, TORQUES)
-    np.testing.assert_array_equal(log.at(TIMES[1:] - 1)[0], TORQUES[:-1])
-
-
-def test_linear_is_the_straight_line():
-    log = TorqueLog(TIMES, TORQUES, interpolation='linear')
-    times = spread(TIMES, 501)
-    expected = [np.interp(times - EPOCH_NS, TIMES - EPOCH_NS, column) for column in TORQUES.T]
-    np.testing.assert_allclose(log.at(times)[0], np.transpose(expected), atol=1e-13)
-
-
 def test_the_slope_of_a_straight_line_is_exact():
     sizes = 10.0 ** -(np.arange(TORQUES.size) % 10).reshape(TORQUES.shape)
     log = TorqueLog(TIMES, sizes * TORQUES, interpolation='linear')
@@ -67,15 +55,6 @@ def test_the_slope_of_a_straight_line_is_exact():
     for row in zip(following, here, slope, low):
         end, begin, *change = map(Fraction, row)
         assert end - begin == sum(change)
-
-
-def test_cubic_reproduces_cubics_at_irregular_stamps():
-    def cubic(times_ns):
-        x = (np.asarray(times_ns) - TIMES[20])[:, None] * 1e-9
-        return 1.0 + x * [0.3, -0.2, 0.9] + x ** 2 * [0.1, 1.0, -0.4] + x ** 3 * [-0.2, 0.4, 0.7]
-    log = TorqueLog(TIMES, cubic(TIMES), interpolation='cubic')
-    times = TIMES[:-1] + np.diff(TIMES) // 3
-    np.testing.assert_allclose(log.at(times)[0], cubic(times), rtol=1e-12, atol=1e-12)
 
 
 def test_cubic_is_of_fourth_order():
@@ -120,11 +99,6 @@ def test_timeout_ends_a_torque_that_is_not_renewed():
     assert log.at([9, 10, 11], 1)[0][:, 0].tolist() == [0, 1, 0]
     # A torque that is renewed just in time does not time out.
     assert log.segments(10)[0].tolist() == [0, 10, 20, 40, 50]
-
-
-def test_frames_may_differ_from_sample_to_sample():
-    log = TorqueLog([1, 0], np.eye(3)[:2], ['space', 'body'])
-    assert log.in_space.tolist() == [False, True]
 
 
 @pytest.mark.parametrize('frame', ['body', 'space', ['space', 'body', 'space']])
