@@ -22,7 +22,7 @@ import stat
 import subprocess
 import sys
 
-from conftest import CONFIG, files_up_to, RECORDINGS, SECOND
+from conftest import CONFIG, files_up_to, program, RECORDINGS, SECOND, write_torques
 import pytest
 from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.commands import main
@@ -35,6 +35,7 @@ from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.scene import InputError
 
 TUMBLER = scene.load(CONFIG / 'tumbler.yaml')
+TORQUES = [(stamp_ns, '', [0.1, 0.0, 0.0]) for stamp_ns in (SECOND, 2 * SECOND)]
 
 
 def write(path, text='new'):
@@ -197,27 +198,28 @@ def test_contents_are_on_the_disk_before_the_name(tmp_path, monkeypatch, kind):
                     ('replace', str(part.path)), ('fsync', str(tmp_path))]
 
 
-def test_a_device_is_refused(tmp_path):
+def make_device(path):
     # Never a device in /dev: as root, broken code would replace it for the whole machine.
-    device = tmp_path / 'device'
     try:
-        os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, 3))
+        os.mknod(path, stat.S_IFCHR | 0o666, os.makedev(1, 3))
     except PermissionError:
         pytest.skip('only root may make a device')
-    with pytest.raises(InputError, match='device: expected a regular file, found a device'):
-        write(device)
-    assert stat.S_ISCHR(device.stat().st_mode)
-    assert list(tmp_path.iterdir()) == [device]
 
 
-def test_a_pipe_is_refused_without_waiting_for_a_reader(tmp_path):
-    os.mkfifo(tmp_path / 'pipe')
-    with pytest.raises(InputError, match='pipe: expected a regular file, found a device, pipe'):
-        write(tmp_path / 'pipe')
+def make_socket(path):
     with socket.socket(socket.AF_UNIX) as server:
-        server.bind(str(tmp_path / 'socket'))
-    with pytest.raises(InputError, match='socket: expected a regular file'):
-        write(tmp_path / 'socket')
+        server.bind(str(path))
+
+
+@pytest.mark.parametrize('make', [make_device, os.mkfifo, make_socket])
+def test_a_device_a_pipe_and_a_socket_are_refused_without_waiting(tmp_path, make):
+    path = tmp_path / 'special'
+    make(path)
+    before = path.stat()
+    with pytest.raises(InputError, match='special: expected a regular file, found a device, pipe'):
+        write(path)
+    assert (path.stat().st_mode, path.stat().st_ino) == (before.st_mode, before.st_ino)
+    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize('folder', ['', '/', '.'])
@@ -334,11 +336,8 @@ def place(tmp_path, monkeypatch, short_trades):
     """Work in a folder that contains one input of each kind, and a folder `out` for aliases."""
     for folder in ('in', 'out', 'other'):
         (tmp_path / folder).mkdir()
-    for path, kind in (('in/log.mcap', recording.Writer), ('in/bag', recording.FolderWriter)):
-        with kind(tmp_path / path) as writer:
-            writer.add_topic('/torque', messages.WRENCH)
-            for stamp_ns in (SECOND, 2 * SECOND):
-                writer.write('/torque', stamp_ns, messages.wrench(stamp_ns, '', [0.1, 0.0, 0.0]))
+    write_torques(tmp_path / 'in/log.mcap', TORQUES)
+    write_torques(tmp_path / 'in/bag', TORQUES, kind=recording.FolderWriter)
     for name in ('in/log.csv', 'other/second.csv', 'other/log.csv', 'other/bag_0.csv'):
         (tmp_path / name).write_text('1,0.1,0,0\n2,0.1,0,0\n')
     (tmp_path / 'in' / 'scene.yaml').write_text((CONFIG / 'tumbler.yaml').read_text())
@@ -398,6 +397,20 @@ def run(option, recorded, output, overwrite=('--overwrite',)):
     return 2
 
 
+@pytest.fixture
+def refused(place, capsys):
+    """Return a function that lets an option write to a path; expect one line, and return it."""
+    def attack(*arguments, **options):
+        before = contents(place)
+        assert run(*arguments, **options) == 2
+        captured = capsys.readouterr()
+        line, = captured.err.splitlines()
+        assert captured.out == ''
+        assert contents(place) == before
+        return line
+    return attack
+
+
 #: Every option attacks one input under each name, and one option attacks every input.
 ATTACKS = [(option, 'scene') for option in OUTPUTS] + [('replay -o', name) for name in VICTIMS
                                                        if name != 'scene']
@@ -405,7 +418,7 @@ ATTACKS = [(option, 'scene') for option in OUTPUTS] + [('replay -o', name) for n
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('option', 'victim'), [*ATTACKS, ('many -o', 'mcap')])
-def test_an_output_never_replaces_an_input(place, capsys, option, victim):
+def test_an_output_never_replaces_an_input(refused, option, victim):
     recorded, attacked = VICTIMS[victim]
     attacked = Path(attacked)
     # --many always appends the suffix .mcap to the name.
@@ -415,70 +428,55 @@ def test_an_output_never_replaces_an_input(place, capsys, option, victim):
         folder = Path('out', name)
         folder.mkdir()
         output = ALIASES[name](attacked, folder / f'second{OUTPUTS[option]}')
-        before = contents(place)
-        assert run(option, recorded, output) == 2, name
-        captured = capsys.readouterr()
-        line, = captured.err.splitlines()
+        line = refused(option, recorded, output)
         assert ': would overwrite the ' in line or ': would be written into the folder ' in line
-        assert not captured.out
-        assert contents(place) == before, name
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('option', ['replay -o', 'replay --csv', 'many -o', 'tradeoff --json'])
-def test_a_command_keeps_an_existing_output_unless_told_to_overwrite(place, capsys, option):
+def test_a_command_keeps_an_existing_output_unless_told_to_overwrite(refused, option):
     output = Path('out', f'second{OUTPUTS[option]}')
     output.write_text('old')
-    before = contents(place)
-    assert run(option, 'in/log.mcap', output, overwrite=()) == 2
-    captured = capsys.readouterr()
-    assert captured.err.endswith(
-        f': error: {output}: output exists; choose another name, or add --overwrite\n')
-    assert not captured.out
-    assert contents(place) == before
+    assert refused(option, 'in/log.mcap', output, overwrite=()).endswith(
+        f': error: {output}: output exists; choose another name, or add --overwrite')
     assert run(option, 'in/log.mcap', output) == 0
     assert output.read_bytes() != b'old'
 
 
 @pytest.mark.parametrize('option', OUTPUTS)
-def test_nothing_new_is_written_into_a_bag_that_is_read(place, capsys, option):
+def test_nothing_new_is_written_into_a_bag_that_is_read(refused, option):
     Path('in/bag/deeper').mkdir()
     linked(Path('in/bag'), Path('out/folder'))
     linked(Path('in/bag'), Path('other/link'))
     linked(Path('in/bag/bag_0.mcap'), Path('other/file'))
-    before = contents(place)
     recordings, folders = ['in/bag'], ['in/bag/deeper']
     if option == 'replay -o':
         recordings += ['in/bag/bag_0.mcap', 'other/link', 'other/file']
         folders += ['in/bag', 'out/folder']
     for recorded in recordings:
         for folder in folders:
-            assert run(option, recorded, Path(folder, f'second{OUTPUTS[option]}')) == 2
-            line, = capsys.readouterr().err.splitlines()
-            assert ': would ' in line
-            assert contents(place) == before
+            assert ': would ' in refused(option, recorded,
+                                         Path(folder, f'second{OUTPUTS[option]}'))
 
 
 @pytest.mark.parametrize(('first', 'second'), [
     ('out/x.mcap', 'out/x.mcap'), ('out/x.mcap', 'out/../out/x.mcap'), ('out/x.mcap', 'out/x.png'),
     ('out/x.png', 'out/x.mcap')])
-def test_two_outputs_never_have_one_name(place, capsys, first, second):
+def test_two_outputs_never_have_one_name(place, refusal, first, second):
     Path('out/x.png').symlink_to('x.mcap')
     before = contents(place)
-    assert main.attitude_replay(['in/log.mcap', '--scene', 'in/scene.yaml', '-o', first,
-                                '--plot', second, '--overwrite']) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
+    refusal('attitude_replay', 'in/log.mcap', '--scene', 'in/scene.yaml', '-o', first, '--plot',
+            second, '--overwrite')
     assert contents(place) == before
 
 
 @pytest.mark.parametrize('option', OUTPUTS)
-def test_outputs_are_checked_before_anything_is_read(place, capsys, option):
+def test_outputs_are_checked_before_anything_is_read(refused, option):
     Path('in/log.mcap').write_text('no recording')
     if 'library' not in option:  # the library gets a scene that was already read
         Path('in/scene.yaml').write_text('no scene')
-    assert run(option, 'in/log.mcap', Path('in/log.mcap')) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert 'in/log.mcap: would overwrite the input in/log.mcap' in line
+    assert 'in/log.mcap: would overwrite the input in/log.mcap' in refused(
+        option, 'in/log.mcap', Path('in/log.mcap'))
 
 
 @pytest.mark.parametrize(('recorded', 'motion'), [('in/bag', 'motion.mcap'),
@@ -491,14 +489,13 @@ def test_verify_writes_nothing(place, recorded, motion):
     assert contents(place) == before
 
 
-def test_an_incomplete_output_leaves_an_input_with_the_name_of_its_partial_file(place, capsys):
+def test_an_incomplete_output_leaves_an_input_with_the_name_of_its_partial_file(place, refusal):
     source = Path('out/motion.partial.mcap')
     source.write_bytes((RECORDINGS / 'tumbler.mcap').read_bytes())
     before = contents(place)
     with files_up_to(2_000_000):
-        assert main.attitude_replay([str(source), '--scene', 'in/scene.yaml', '--rate', '1000',
-                                    '-o', 'out/motion.mcap']) == 2
-    line, = capsys.readouterr().err.splitlines()
+        line = refusal('attitude_replay', source, '--scene', 'in/scene.yaml', '--rate', '1000',
+                       '-o', 'out/motion.mcap')
     after = contents(place)
     kept = str(place / 'out' / 'motion.partial.2.mcap')
     assert f'what was written so far is in {kept}' in line
@@ -514,7 +511,7 @@ def test_a_folder_that_takes_the_name_meanwhile_is_not_replaced(place, kind, nam
     with pytest.raises(InputError, match=f'found a folder; {left}|exists; .*; {left}'), \
             kind(path, keep_partial=True) as writer:
         writer.add_topic('/torque', messages.WRENCH)
-        writer.write('/torque', SECOND, messages.wrench(SECOND, '', [0.1, 0.0, 0.0]))
+        writer.write('/torque', SECOND, messages.wrench(*TORQUES[0]))
         path.mkdir()
     assert sorted(Path('out').rglob('*')) == sorted([path, kept.relative_to(place)])
     assert recording.read(kept).stamps_ns.tolist() == [SECOND]
@@ -528,20 +525,25 @@ def test_a_copy_of_an_input_may_be_replaced(place):
     assert recording.read('out/log.mcap', '/attitude', messages.QUATERNION).stamps_ns.size == 2
 
 
-COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.commands import main; '
-           'sys.exit(getattr(main, sys.argv.pop(1))())']
-REPLAY = ['attitude_replay', 'in/log.mcap', '--scene', 'in/scene.yaml', '-o', 'out/motion.mcap']
-PRINTING = [pytest.param(REPLAY, id='replay'),
-            pytest.param(['attitude_tradeoff', '--help'], id='help', marks=pytest.mark.nightly)]
+REPLAY = [*program('attitude_replay'), 'in/log.mcap', '--scene', 'in/scene.yaml', '-o',
+          'out/motion.mcap']
+PRINTING = [pytest.param('replay', REPLAY, id='replay'), pytest.param(
+    'tradeoff', [*program('attitude_tradeoff'), '--help'], id='help', marks=pytest.mark.nightly)]
+
+
+def redirected(words, command):
+    """Run a command with a redirection of the shell."""
+    return subprocess.run(['sh', '-c', f'"$@" {words}', 'sh', *command], check=False,
+                          capture_output=True, text=True)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('arguments', PRINTING)
-def test_a_reader_that_is_gone_ends_a_command_quietly(place, arguments):
+@pytest.mark.parametrize(('name', 'command'), PRINTING)
+def test_a_reader_that_is_gone_ends_a_command_quietly(place, name, command):
     reading, writing = os.pipe()
     os.close(reading)
-    result = subprocess.run([*COMMAND, *arguments], stdout=writing, stderr=subprocess.PIPE,
-                            text=True, check=False)
+    result = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True,
+                            check=False)
     os.close(writing)
     assert (result.returncode, result.stderr) == (141, '')
     assert all(path.name == 'motion.mcap' for path in Path('out').iterdir())
@@ -563,32 +565,22 @@ def test_a_reader_that_leaves_in_the_middle_is_no_error():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('arguments', PRINTING)
-def test_a_full_standard_output_is_reported_in_one_line(place, arguments):
-    with open('/dev/full', 'w') as full:
-        result = subprocess.run([*COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE,
-                                text=True, check=False)
-    assert result.returncode == 2
-    assert result.stderr == (f'{arguments[0]}: error: cannot write to standard output: No space '
-                             'left on device\n')
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('arguments', PRINTING)
-def test_a_closed_standard_output_is_reported_before_any_work(place, arguments):
+@pytest.mark.parametrize(('name', 'command'), PRINTING)
+@pytest.mark.parametrize(('words', 'reason'), [
+    ('>/dev/full', 'No space left on device'), ('>&-', 'it is closed')])
+def test_a_standard_output_that_fails_is_reported_in_one_line(place, name, command, words, reason):
     before = contents(place)
-    result = subprocess.run(['sh', '-c', '"$@" >&-', 'sh', *COMMAND, *arguments], check=False,
-                            stderr=subprocess.PIPE, text=True)
+    result = redirected(words, command)
     assert result.returncode == 2
-    assert result.stderr == (f'{arguments[0]}: error: cannot write to standard output: it is '
-                             'closed\n')
-    assert contents(place) == before
+    assert result.stderr == (
+        f'attitude_{name}: error: cannot write to standard output: {reason}\n')
+    if words == '>&-':  # which is known before any work
+        assert contents(place) == before
 
 
 @pytest.mark.slow
 def test_a_closed_standard_error_changes_nothing(place):
-    result = subprocess.run(['sh', '-c', '"$@" 2>&-', 'sh', *COMMAND, *REPLAY], check=False,
-                            stdout=subprocess.PIPE, text=True)
+    result = redirected('2>&-', REPLAY)
     assert result.returncode == 0
     assert 'wrote         out/motion.mcap' in result.stdout
 
@@ -596,7 +588,7 @@ def test_a_closed_standard_error_changes_nothing(place):
 @pytest.mark.slow
 def test_a_name_that_is_no_text_is_printed(place):
     output = os.fsencode('out/motion') + b'\xff.mcap'
-    result = subprocess.run([*COMMAND, *REPLAY[:-1], output], check=False, capture_output=True,
+    result = subprocess.run([*REPLAY[:-1], output], check=False, capture_output=True,
                             env={**os.environ, 'PYTHONIOENCODING': 'utf-8:strict'})
     assert (result.returncode, result.stderr) == (0, b'')  # also without a progress bar
     assert result.stdout.splitlines()[-1] == rb'wrote         out/motion\udcff.mcap'
