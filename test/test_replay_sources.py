@@ -18,7 +18,7 @@ import json
 from pathlib import Path
 import re
 
-from conftest import CONFIG, SECOND
+from conftest import SECOND
 from matplotlib.figure import Figure
 import numpy as np
 from pages import array, data_of
@@ -60,35 +60,24 @@ def log(topic, interpolation='hold'):
                      interpolation)
 
 
-def write(path, topics, names=None):
-    """Write topics to a recording, under other names if any are given."""
+def write(path, topics, empty=(), **names):
+    """Write topics to a recording, some of them empty, and some under another name."""
     with recording.Writer(path) as writer:
         for topic in topics:
-            name = (names or {}).get(topic, topic)
+            name = names.get(topic[1:], topic)
             momentum = topic == '/wheel_momentum'
             kind = messages.VECTOR3 if momentum else messages.WRENCH
             writer.add_topic(name, kind)
-            for stamp_ns, vector in zip(TIMES[topic].tolist(), values(topic)):
+            for stamp_ns, vector in [] if topic in empty else zip(TIMES[topic], values(topic)):
                 numbers = vector if momentum else [9.0, 9.0, 9.0, *vector]
-                writer.write(name, stamp_ns,
-                             kind.encode(stamp_ns, FRAMES.get(topic, 'base_link'), numbers))
+                data = kind.encode(int(stamp_ns), FRAMES.get(topic, 'base_link'), numbers)
+                writer.write(name, int(stamp_ns), data)
     return str(path)
 
 
 @pytest.fixture
 def recorded(tmp_path):
     return write(tmp_path / 'recorded.mcap', list(TIMES))
-
-
-@pytest.fixture
-def written(tmp_path):
-    """Return a function that writes a scene of the tumbler with more keys."""
-    def write_scene(*lines):
-        path = tmp_path / 'scene.yaml'
-        path.write_text((CONFIG / 'tumbler.yaml').read_text()
-                        + ''.join(f'    {line}\n' for line in lines))
-        return str(path)
-    return write_scene
 
 
 def expected(path, logs, wheels=None):
@@ -115,32 +104,25 @@ def check_written(path, motion, has_rotors=True):
         assert set(read.frame_ids) == {frame}
 
 
-@pytest.mark.parametrize(('lines', 'interpolation'), [
-    ((TWO, WHEELS, DAMPING, ROTORS), 'hold'), ((TWO, WHEELS), 'linear'),
-    ((TWO, WHEELS, ROTORS, *PIVOT, ORBIT), 'linear')], ids=['all', 'wheels', 'fields'])
-def test_two_torques_and_wheels_give_the_motion_of_the_library(recorded, written, tmp_path, lines,
-                                                               interpolation):
-    path, output = written(*lines), tmp_path / 'motion.mcap'
-    assert main.attitude_replay([recorded, '--scene', path, '-o', str(output),
-                                '--interpolation', interpolation]) == 0
-    check_written(output, expected(
-        path, [log('/control', interpolation), log('/disturbance', interpolation)],
-        log('/wheel_torque', interpolation)))
-    assert main.attitude_replay([recorded, '--scene', path, '--verify', str(output),
-                                '--interpolation', interpolation]) == 0
+@pytest.mark.parametrize(('lines', 'interpolation', 'given'), [
+    ((TWO, WHEELS, DAMPING, ROTORS), 'hold', []), ((TWO, WHEELS), 'linear', []),
+    ((TWO, WHEELS, ROTORS, *PIVOT, ORBIT), 'linear', []),
+    ((TWO, WHEELS, DAMPING), 'hold', ['--topic', '/disturbance', '--topic', '/control',
+                                      '--wheel-torque', '/wheel_torque'])],
+    ids=['all', 'wheels', 'fields', 'given topics replace those of the scene'])
+def test_two_torques_and_wheels_give_the_motion_of_the_library(recorded, scene_with, tmp_path,
+                                                               lines, interpolation, given):
+    path, output = scene_with(*lines), tmp_path / 'motion.mcap'
+    arguments = [recorded, '--scene', path, '--interpolation', interpolation, *given]
+    assert main.attitude_replay([*arguments, '-o', str(output)]) == 0
+    topics = ['/disturbance', '/control'] if given else ['/control', '/disturbance']
+    check_written(output, expected(path, [log(topic, interpolation) for topic in topics],
+                                   log('/wheel_torque', interpolation)))
+    assert main.attitude_replay([*arguments, '--verify', str(output)]) == 0
 
 
-def test_topics_that_are_given_replace_those_of_the_scene(recorded, written, tmp_path):
-    path, output = written(WHEELS, DAMPING), tmp_path / 'motion.mcap'
-    assert main.attitude_replay([
-        recorded, '--scene', path, '-o', str(output), '--topic', '/disturbance',
-        '--topic', '/control', '--wheel-torque', '/wheel_torque']) == 0
-    check_written(output, expected(path, [log('/disturbance'), log('/control')],
-                                   log('/wheel_torque')))
-
-
-def test_the_rotors_follow_their_measured_momentum(recorded, written, tmp_path):
-    path, output = written(WHEELS), tmp_path / 'motion.mcap'
+def test_the_rotors_follow_their_measured_momentum(recorded, scene_with, tmp_path):
+    path, output = scene_with(WHEELS), tmp_path / 'motion.mcap'
     assert main.attitude_replay([recorded, '--scene', path, '-o', str(output), '--topic',
                                 '/control', '--wheel-momentum', '/wheel_momentum']) == 0
     stamps, momenta = TIMES['/wheel_momentum'], values('/wheel_momentum')
@@ -154,26 +136,24 @@ def test_the_rotors_follow_their_measured_momentum(recorded, written, tmp_path):
     np.testing.assert_array_equal(read.values[0], momenta[0])
 
 
-def test_a_start_between_two_samples_has_the_momentum_in_between(recorded, written):
+def test_a_start_between_two_samples_has_the_momentum_in_between(recorded, scene_with):
     start_ns = int(TIMES['/wheel_momentum'][3]) + 25 * MS
-    result = replay(recorded, scene.load(written(WHEELS, f'start_time: {start_ns}')),
+    result = replay(recorded, scene.load(scene_with(WHEELS, f'start_time: {start_ns}')),
                     topic='/control', wheel_momentum='/wheel_momentum')
     before, after = values('/wheel_momentum')[3:5]
     np.testing.assert_allclose(result.start.rotor_momentum, 0.75 * before + 0.25 * after,
                                rtol=1e-15)
 
 
-def test_wheels_need_no_torque_on_the_body(tmp_path, written):
+def test_wheels_need_no_torque_on_the_body(tmp_path, scene_with):
     path = write(tmp_path / 'wheels.mcap', ['/wheel_torque'])
-    result = replay(path, scene.load(written(WHEELS)))
+    result = replay(path, scene.load(scene_with(WHEELS)))
     np.testing.assert_array_equal(
         result.trajectory.attitude,
         expected(tmp_path / 'scene.yaml', [], log('/wheel_torque')).attitude)
     text = result.text()
     assert 'rotors        torque on /wheel_torque\n' in text
     assert '  rotors      ' in text
-    assert 'relative drift of the space angular momentum' in text
-    assert float(result.check.finding.split()[-1]) < 1e-14
 
 
 @pytest.mark.parametrize(('topics', 'lines', 'interpolation', 'law', 'bound'), [
@@ -184,10 +164,10 @@ def test_wheels_need_no_torque_on_the_body(tmp_path, written):
     (['/wheel_torque'], [WHEELS, ROTORS], 'hold', 'drift of the space angular momentum', 1e-14),
     (['/control', '/disturbance', '/wheel_torque'], [TWO, WHEELS, DAMPING, ROTORS, *PIVOT, ORBIT],
      'linear', 'work and energy', 1e-9)])
-def test_the_check_is_the_conservation_law_of_the_scene(tmp_path, written, topics, lines,
+def test_the_check_is_the_conservation_law_of_the_scene(tmp_path, scene_with, topics, lines,
                                                         interpolation, law, bound):
     path = write(tmp_path / 'recorded.mcap', topics)
-    result = replay(path, scene.load(written(*lines)), interpolation=interpolation)
+    result = replay(path, scene.load(scene_with(*lines)), interpolation=interpolation)
     assert law in result.check.finding
     number, = re.findall(r'\d\.\de[+-]\d+', result.check.finding)
     assert float(number) < bound
@@ -203,11 +183,11 @@ def test_the_check_is_the_conservation_law_of_the_scene(tmp_path, written, topic
       'buoy: {moment: {x: 0.01}, field: {x: 3.0}}'], ['drift of the energy']),
     ([ORBIT, ROTORS, 'start_time: 1000000000'], ["drift of Jacobi's integral"]),
     ([*PIVOT, 'damping: {dxx: 0.001}'], ['work and energy'])])
-def test_fields_alone_conserve_their_integrals(tmp_path, written, lines, laws, capsys):
+def test_fields_alone_conserve_their_integrals(tmp_path, scene_with, lines, laws, capsys):
     path, output = tmp_path / 'still.csv', tmp_path / 'motion.mcap'
     np.savetxt(path, [[1.0 + 0.1 * k, 0.0, 0.0, 0.0] for k in range(101)], delimiter=',',
                header='time,tx,ty,tz', comments='')
-    config = written(*lines)
+    config = scene_with(*lines)
     result = replay(path, scene.load(config))
     numbers = re.findall(r'\d\.\de[+-]\d+', result.check.finding)
     assert len(numbers) == len(laws)
@@ -223,8 +203,8 @@ def test_fields_alone_conserve_their_integrals(tmp_path, written, lines, laws, c
 
 
 @pytest.mark.slow
-def test_pages_and_plots_show_the_torque_of_fields(tmp_path, written, monkeypatch):
-    path, config = write(tmp_path / 'one.mcap', ['/control']), written(*PIVOT, ORBIT, ROTORS)
+def test_pages_and_plots_show_the_torque_of_fields(tmp_path, scene_with, monkeypatch):
+    path, config = write(tmp_path / 'one.mcap', ['/control']), scene_with(*PIVOT, ORBIT, ROTORS)
     drawn = []
     monkeypatch.setattr(picture, 'Figure', lambda *given, **more: drawn.append(
         figure := Figure(*given, **more)) or figure)
@@ -249,35 +229,30 @@ def test_pages_and_plots_show_the_torque_of_fields(tmp_path, written, monkeypatc
     assert 'pivot.moment.z: -0.02' in (tmp_path / 'p.html').read_text(encoding='utf-8')
 
 
-def test_a_check_of_fields_finds_a_motion_without_them(tmp_path, written):
-    without = scene.load(written()).problem().propagate(at=np.arange(0, 10 * SECOND, SECOND))
+def test_a_check_of_fields_finds_a_motion_without_them(tmp_path, scene_with):
+    without = scene.load(scene_with()).problem().propagate(at=np.arange(0, 10 * SECOND, SECOND))
     for lines in (PIVOT, [ORBIT]):
-        finding = drift(scene.load(written(*lines)).problem(), without).finding
+        finding = drift(scene.load(scene_with(*lines)).problem(), without).finding
         assert float(re.findall(r'\d\.\de[+-]\d+', finding)[0]) > 0.1
 
 
-def test_the_last_digits_of_all_inputs_count(recorded, written):
-    result = replay(recorded, scene.load(written(TWO, WHEELS, DAMPING, ROTORS)))
+def test_the_last_digits_of_all_inputs_count(recorded, scene_with):
+    result = replay(recorded, scene.load(scene_with(TWO, WHEELS, DAMPING, ROTORS)))
     assert 0.0 < result.last_digits.effect < 1e-13
     effects = [last_digit_effect(result.problem, at=result.trajectory.times_ns) for _ in 'ab']
     assert effects[0] == effects[1] > 0.0
 
 
-def test_a_source_without_messages_has_no_torque(tmp_path, written):
-    path = tmp_path / 'silent.mcap'
-    with recording.Writer(path) as writer:
-        for topic in ('/control', '/disturbance'):
-            writer.add_topic(topic, messages.WRENCH)
-        for stamp_ns, vector in zip(TIMES['/control'].tolist(), values('/control')):
-            writer.write('/control', stamp_ns, messages.wrench(stamp_ns, 'base_link', vector))
-    motion = replay(path, scene.load(written(TWO))).trajectory
+def test_a_source_without_messages_has_no_torque(tmp_path, scene_with):
+    path = write(tmp_path / 'silent.mcap', ['/control', '/disturbance'], empty=['/disturbance'])
+    motion = replay(path, scene.load(scene_with(TWO))).trajectory
     alone = expected(tmp_path / 'scene.yaml', [log('/control'), TorqueLog([], [])])
     np.testing.assert_array_equal(motion.attitude, alone.attitude)
 
 
-def test_a_plain_scene_takes_the_topic_that_it_names(tmp_path, written):
-    path = write(tmp_path / 'two.mcap', ['/control', '/disturbance'], {'/control': '/torque'})
-    result = replay(path, scene.load(written()))
+def test_a_plain_scene_takes_the_topic_that_it_names(tmp_path, scene_with):
+    path = write(tmp_path / 'two.mcap', ['/control', '/disturbance'], control='/torque')
+    result = replay(path, scene.load(scene_with()))
     assert result.topic == '/torque'
     np.testing.assert_array_equal(result.problem.logs[0].torques, values('/control'))
 
@@ -304,15 +279,10 @@ def test_a_plain_scene_takes_the_topic_that_it_names(tmp_path, written):
     ([TWO, WHEELS, 'torque_timeout: 0.09'], ['--wheel-momentum', '/wheel_momentum'],
      'expected samples at most torque_timeout (0.09 s) apart, found a gap of 0.1 s'),
     ([WHEELS, 'solver: exact'], ['--topic', '/control'], "solver 'exact' handles neither rotors")])
-def test_a_mistake_is_reported_in_one_line(recorded, written, tmp_path, capsys, lines, options,
+def test_a_mistake_is_reported_in_one_line(recorded, scene_with, tmp_path, refusal, lines, options,
                                            message):
-    output = tmp_path / 'motion.mcap'
-    assert main.attitude_replay([recorded, '--scene', written(*lines), '-o', str(output),
-                                *options]) == 2
-    captured = capsys.readouterr()
-    line, = captured.err.splitlines()
-    assert message in line
-    assert not captured.out
+    assert message in refusal('attitude_replay', recorded, '--scene', scene_with(*lines), '-o',
+                              tmp_path / 'motion.mcap', *options)
     assert {one.name for one in tmp_path.iterdir()} == {'scene.yaml', 'recorded.mcap'}
 
 
@@ -320,42 +290,38 @@ def test_a_mistake_is_reported_in_one_line(recorded, written, tmp_path, capsys, 
     ('world', (0.0, 0.0, 1.0), "message 1: frame_id: expected 'base_link' or '' (body axes)"),
     ('', (0.0, float('nan'), 1.0), 'message 1 at'),
     ('', None, 'expected the momentum of the rotors, found no messages')])
-def test_a_momentum_that_cannot_be_used_is_named(tmp_path, written, capsys, frame_id, numbers,
+def test_a_momentum_that_cannot_be_used_is_named(tmp_path, scene_with, refusal, frame_id, numbers,
                                                  message):
     path = tmp_path / 'momentum.mcap'
     with recording.Writer(path) as writer:
         writer.add_topic('/h', messages.VECTOR3)
         if numbers:
             writer.write('/h', SECOND, messages.VECTOR3.encode(SECOND, frame_id, numbers))
-    assert main.attitude_replay([str(path), '--scene', written(WHEELS), '--wheel-momentum', '/h',
-                                '-o', str(tmp_path / 'motion.mcap')]) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert f'momentum.mcap: /h: {message}' in line
-    assert not (tmp_path / 'motion.mcap').exists()
+    assert f'momentum.mcap: /h: {message}' in refusal(
+        'attitude_replay', path, '--scene', scene_with(WHEELS), '--wheel-momentum', '/h')
 
 
-def test_damage_is_reported_if_no_torque_could_be_read(recorded, written, tmp_path, capsys):
+def test_damage_is_reported_if_no_torque_could_be_read(recorded, scene_with, tmp_path, refusal):
     damaged = tmp_path / 'damaged.mcap'
     data = bytearray(Path(recorded).read_bytes())
     data[len(data) // 2] ^= 255
     damaged.write_bytes(data)
-    assert main.attitude_replay([str(damaged), '--scene', written(TWO, WHEELS)]) == 2
-    line, = capsys.readouterr().err.splitlines()
+    line = refusal('attitude_replay', damaged, '--scene', scene_with(TWO, WHEELS))
     assert '/control, /disturbance, /wheel_torque: expected torques, found no messages (' in line
     assert 'damaged chunk at byte' in line
 
 
 @pytest.mark.slow
-def test_a_replay_with_the_recommended_setting_meets_the_target(recorded, written, tmp_path,
+def test_a_replay_with_the_recommended_setting_meets_the_target(recorded, scene_with, tmp_path,
                                                                 short_trades):
     lines = TWO, WHEELS, DAMPING, ROTORS
     assert main.attitude_tradeoff([
-        '--scene', written(*lines), '--recording', recorded, '--wheel-torque', '/wheel_torque',
+        '--scene', scene_with(*lines), '--recording', recorded, '--wheel-torque', '/wheel_torque',
         '--target', '1e-7', '--json', str(tmp_path / 'o.json')]) == 0
     found = json.loads((tmp_path / 'o.json').read_text())
     assert found['samples'] == 200
     default, recommended = (
-        replay(recorded, scene.load(written(*lines, *more)),
+        replay(recorded, scene.load(scene_with(*lines, *more)),
                wheel_torque='/wheel_torque').trajectory
         for more in ((), found['recommended']['parameters']))
     error = so3.angle_between(recommended.attitude, default.attitude).max()
