@@ -15,14 +15,17 @@
 """Run commands on hostile files within limits, and return their error lines."""
 
 from contextlib import contextmanager, redirect_stderr
+from functools import cache
 import io
 import signal
 
 from conftest import CONFIG, memory_limit, RECORDINGS
+import lz4.frame
 import pytest
 from rigid_body_ros import recording, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
+import zstandard
 
 TUMBLER = CONFIG / 'tumbler.yaml'
 #: 1 kB of YAML that would expand to 10^9 values.
@@ -34,8 +37,8 @@ recording.read(RECORDINGS / 'tumbler.mcap')
 
 
 @contextmanager
-def limits():
-    """Fail after 10 s of processor time or 60 s of wall time, or if Python allocates 300 MB."""
+def limits(most=300e6):
+    """Fail after 10 s of processor time or 60 s of wall time, or if Python allocates `most` B."""
     def too_long(number, frame):
         pytest.fail('took more than 10 s of processor time, or 60 s of wall time')
     timers = [(signal.SIGPROF, signal.ITIMER_PROF, 10), (signal.SIGALRM, signal.ITIMER_REAL, 60)]
@@ -43,12 +46,26 @@ def limits():
     for _, timer, seconds in timers:
         signal.setitimer(timer, seconds)
     try:
-        with memory_limit(300e6):
+        with memory_limit(most):
             yield
     finally:
         for (number, timer, _), handler in zip(timers, before):
             signal.setitimer(timer, 0)
             signal.signal(number, handler)
+
+
+@cache
+def zeros(size, compression='zstd', says_its_size=False):
+    """Return zeros, compressed to almost nothing, whose header may not state their number."""
+    stated = size * says_its_size
+    if compression == 'zstd':
+        compressor = zstandard.ZstdCompressor().compressobj(stated or -1)
+        pieces = [b'']
+    else:
+        compressor = lz4.frame.LZ4FrameCompressor()
+        pieces = [compressor.begin(stated)]
+    pieces += [compressor.compress(bytes(2 ** 20)) for _ in range(size // 2 ** 20)]
+    return b''.join([*pieces, compressor.flush()])
 
 
 def outcome(path, scene_path=TUMBLER):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings of a node with several epochs: each is replayed from its own start state."""
+"""Recordings of a node with several epochs: each is replayed and verified from its own start."""
 
 from dataclasses import replace
 import json
@@ -42,6 +42,7 @@ from node_logs import (
 import numpy as np
 import pytest
 from rigid_body_ros import messages, read, recording, scene, State
+from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
 from rigid_body_ros.identification.recorded import read_experiments
 from rigid_body_ros.recording import Reading, torques, writer
@@ -81,11 +82,23 @@ def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, monkeypatch
 
 
 def test_until_and_rate_are_those_of_each_epoch(run, two, tmp_path):
-    result = replay(two, run, tmp_path / 'out.mcap', until=2.0, rate=10.0)
+    result = replay(two, run, tmp_path / 'out.mcap', until=2.0, rate=8.0)
     assert attitudes(tmp_path / 'out.mcap').stamps_ns.tolist() == [
-        start.time_ns + k * SECOND // 10 for start in (FIRST, SECOND_START) for k in range(21)]
+        start.time_ns + k * SECOND // 8 for start in (FIRST, SECOND_START) for k in range(17)]
     # The second epoch lasts 1.5 s; like a single recording, it is continued.
     assert result.last.time_ns == SECOND_START.time_ns + 2 * SECOND
+    result = verify(two, run, tmp_path / 'out.mcap')
+    assert (len(result.same), result.same.all()) == (34, True)
+    assert (result.epochs, result.compared_epochs, result.pending) == (2, 2, 0)
+
+
+def refused(tmp_path, capsys, name, log):
+    """Run a command with a recording, expect one line of error, and return it."""
+    assert called(tmp_path, name, log) == 2
+    captured = capsys.readouterr()
+    line, = captured.err.splitlines()
+    assert captured.out == ''
+    return line
 
 
 @pytest.mark.parametrize(('name', 'defect'), [
@@ -100,13 +113,9 @@ def test_a_log_without_its_start_is_refused_by_every_command(run, tmp_path, caps
     else:
         sent = without(sent, ACCEPTED, 0, 1, 2)
         found = 'found the first marker in message 39'
-    log = save(tmp_path / 'log.mcap', sent)
-    assert called(tmp_path, name, log) == 2
-    captured = capsys.readouterr()
-    line, = captured.err.splitlines()
+    line = refused(tmp_path, capsys, name, save(tmp_path / 'log.mcap', sent))
     assert (f'log.mcap: {ACCEPTED}: expected the log of a node to begin with the marker and the '
             f'start state of an epoch, {found}: the recording began in the middle') in line
-    assert not captured.out
     assert not [*tmp_path.glob('out*')]
 
 
@@ -230,32 +239,35 @@ TOPICS = {'topic': [ACCEPTED, ACCEPTED_1], 'wheel_torque': WHEELS}
 
 
 @pytest.fixture
-def wheeled(tmp_path):
-    path = tmp_path / 'wheels.yaml'
-    path.write_text((CONFIG / 'tumbler.yaml').read_text()
-                    + '    torque_topics: [a, b]\n    wheels: true\n')
-    return scene.load(path)
+def wheeled(scene_with):
+    return scene.load(scene_with('torque_topics: [a, b]', 'wheels: true'))
+
+
+def four_wheels():
+    """Return a scene with wheels and an inertia topic, and the types of a node's logs."""
+    run = scene.load(ROOT / 'examples' / 'four_wheels.yaml')
+    return scene.Scene.from_values({**run.values, 'inertia_topic': True}), {
+        ACCEPTED: messages.WRENCH, '/node/accepted_inertia': messages.INERTIA,
+        '/node/accepted_wheel_command': messages.joint_commands(
+            [wheel.name for wheel in run.named_wheels])}
 
 
 @pytest.mark.parametrize(('torque', 'raw'), [(None, False), (ACCEPTED, False), (ACCEPTED, True)])
 def test_what_a_node_has_logged_is_found_beside_its_torques(tmp_path, torque, raw):
     # Without the logged inertia and commands, the motion would differ without any message.
-    run = scene.load(ROOT / 'examples' / 'four_wheels.yaml')
-    run = scene.Scene.from_values({**run.values, 'inertia_topic': True})
-    kind = messages.joint_commands([wheel.name for wheel in run.named_wheels])
+    run, kinds = four_wheels()
     bigger = 1.1 * run.body.entries
     path, stamp = tmp_path / 'log.mcap', FIRST.time_ns + SECOND
     with recording.Writer(path) as writer:
-        for topic, each, data in (
-                (ACCEPTED, messages.WRENCH, messages.wrench(stamp, '', (0.0, 1e-3, 0.0))),
-                ('/node/accepted_wheel_command', kind, kind.encode(stamp, '', [0.003] * 4)),
-                ('/node/accepted_inertia', messages.INERTIA, messages.inertia(stamp, '', bigger))):
-            writer.add_topic(topic, each)
-            writer.write(topic, FIRST.time_ns, messages.epoch_marker(FIRST, each))
+        for (topic, kind), data in zip(kinds.items(), (
+                messages.wrench(stamp, '', (0.0, 1e-3, 0.0)), messages.inertia(stamp, '', bigger),
+                [*kinds.values()][2].encode(stamp, '', [0.003] * 4))):
+            writer.add_topic(topic, kind)
+            writer.write(topic, FIRST.time_ns, messages.epoch_marker(FIRST, kind))
             writer.write(topic, stamp, data)
             if raw:
                 other = topic.replace('/node/accepted_', '/')
-                writer.add_topic(other, each)
+                writer.add_topic(other, kind)
                 writer.write(other, stamp, data)
     problem = read(path, run, topic=torque)
     assert problem.efforts.efforts.tolist() == [[0.003] * 4]
@@ -281,11 +293,7 @@ def test_of_two_nodes_that_logged_an_inertia_neither_is_taken_in_silence(tmp_pat
 
 @pytest.mark.parametrize('killed', [1, 2])
 def test_a_process_may_be_killed_before_it_marks_inertia_and_wheels(tmp_path, killed):
-    run = scene.load(ROOT / 'examples' / 'four_wheels.yaml')
-    run = scene.Scene.from_values({**run.values, 'inertia_topic': True})
-    kinds = {ACCEPTED: messages.WRENCH, '/node/accepted_inertia': messages.INERTIA,
-             '/node/accepted_wheel_command': messages.joint_commands(
-                 [wheel.name for wheel in run.named_wheels])}
+    run, kinds = four_wheels()
     with recording.Writer(tmp_path / 'log.mcap') as writer:
         for number, (topic, kind) in enumerate(kinds.items()):
             writer.add_topic(topic, kind)
@@ -361,8 +369,6 @@ def test_a_topic_without_messages_has_no_torques_in_any_epoch(run, tmp_path):
 
 def test_a_measured_momentum_of_the_rotors_needs_one_epoch(wheeled, tmp_path):
     sent = [*epoch(wheeled, FIRST, TORQUES), *epoch(wheeled, SECOND_START, MORE)]
-    log = tmp_path / 'log.mcap'
-    save(log, sent)
     with recording.Writer(tmp_path / 'both.mcap') as both:
         both.add_topic('/h', messages.VECTOR3)
         both.write('/h', SECOND, messages.VECTOR3.encode(SECOND, '', (0.0, 0.0, 0.1)))
@@ -386,13 +392,10 @@ def test_of_equal_starts_the_last_epoch_is_meant():
 @pytest.mark.parametrize('name', [*at_night('tradeoff'), *(
     name for name in ONE_MOTION if name != 'tradeoff')])
 def test_commands_that_need_one_motion_ask_for_its_start(two, tmp_path, capsys, name):
-    assert called(tmp_path, name, two) == 2
-    captured = capsys.readouterr()
-    line, = captured.err.splitlines()
+    line = refused(tmp_path, capsys, name, two)
     assert (f'two.mcap: expected one epoch, or the start_time of one, found 2 epochs, which begin '
             f'at {FIRST.time_ns}, {SECOND_START.time_ns} ns, and start_time 0; set start_time in '
             'the scene') in line
-    assert not captured.out
     assert called(tmp_path, name, two, f'start_time: {SECOND_START.time_ns}') in (0, 3)
 
 
@@ -424,3 +427,101 @@ def test_a_table_of_recordings_says_how_many_epochs_there_are(run, two, tmp_path
     outcome, = replay_many([two], run, tmp_path / 'out')
     assert outcome.summary.startswith('2 epochs, the last: 30 torques, 1.5 s -> ')
     assert len(attitudes(outcome.output)) == 71
+
+
+# Every committed state of every epoch in the log of a node
+
+@pytest.mark.parametrize('start_time', [0, SECOND_START.time_ns, 3])
+def test_the_start_of_the_scene_does_not_matter(two, tmp_path, capsys, start_time):
+    assert called(tmp_path, 'verify', two, f'start_time: {start_time}') == 0
+    assert 'compared      71 states of /node/committed in 2 epochs\nsame bits     71 of 71\n' \
+        in capsys.readouterr().out
+
+
+def committed(sent, number, change):
+    """Return messages in which one committed state is changed."""
+    place = [place for place, (topic, _) in enumerate(sent) if topic == COMMITTED][number]
+    found = messages.ODOMETRY.decode(sent[place][1])
+    stamp, values = change(found.stamp_ns, found.values.copy())
+    data = messages.ODOMETRY.encode(stamp, 'world', values, 'base_link')
+    return [*sent[:place], (COMMITTED, data), *sent[place + 1:]]
+
+
+def nudged(stamp, values):
+    values[48] = np.nextafter(values[48], 1.0)
+    return stamp, values
+
+
+def test_a_bit_that_differs_in_the_first_epoch_is_found(run, tmp_path, capsys):
+    sent = two_epochs(run)
+    log = save(tmp_path / 'log.mcap', committed(sent, 17, nudged))
+    assert called(tmp_path, 'verify', log) == 1
+    words = capsys.readouterr().out
+    assert 'same bits     70 of 71\n' in words
+    stamp = node_logs.motion_of(run, FIRST, TORQUES).times_ns[17]
+    assert f'first in state 18, at {stamp} ns: 0 rad' in words
+
+
+def test_states_after_until_are_not_compared(run, tmp_path, capsys):
+    sent = two_epochs(run)
+    log = save(tmp_path / 'log.mcap', committed(committed(sent, 17, nudged), 70, nudged))
+    arguments = [log, '--scene', str(CONFIG / 'tumbler.yaml'), '--verify', log, '--until']
+    assert main.attitude_replay([*arguments, '1']) == 0
+    # 11 states of the first epoch, every 0.1 s, and 21 of the second, every 0.05 s.
+    assert 'compared      32 states of /node/committed in 2 epochs\n' in capsys.readouterr().out
+    assert main.attitude_replay([*arguments, '1.8']) == 1
+
+
+def test_torques_without_a_committed_state_are_counted(run, tmp_path, capsys):
+    sent = two_epochs(run)
+    killed = without(sent, COMMITTED, *range(32, 40), *range(69, 71))
+    assert called(tmp_path, 'verify', save(tmp_path / 'log.mcap', killed)) == 0
+    assert ('compared      61 states of /node/committed in 2 epochs; 10 torques have no committed '
+            'state\n') in capsys.readouterr().out
+    killed = without(sent, COMMITTED, *range(40, 71))
+    assert called(tmp_path, 'verify', save(tmp_path / 'log.mcap', killed)) == 0
+    assert ('compared      40 states of /node/committed in 1 of 2 epochs; 30 torques have no '
+            'committed state\n') in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(('change', 'message'), [
+    # A state has no torque at its stamp, and is not the start of an epoch.
+    (lambda sent: without(sent, ACCEPTED, 20), 'expected a torque at the stamp of each state, '
+     f'found none for 1 of 40 states, the first at {69 * SECOND // 10} ns'),
+    (lambda sent: committed(sent, 30, lambda stamp, values: (stamp + 1, values)), 'found none'),
+    # The recording of the states began late.
+    (lambda sent: without(sent, COMMITTED, 0), 'expected the start state of an epoch of the '
+     f'torque log in message 1, found another state, at {51 * SECOND // 10} ns: the recording '
+     'began in the middle of an epoch, or is not that of this log'),
+    # The start of the second epoch is missing.
+    (lambda sent: without(sent, COMMITTED, 40), 'found none for 30 of 70 states'),
+    (lambda sent: committed(sent, 40, nudged), 'found none for 31 of 71 states'),
+    (lambda sent: without(sent, COMMITTED, *range(71)), 'expected states, found no messages')],
+    ids=range(6))
+def test_states_without_a_counterpart_are_refused(run, tmp_path, capsys, change, message):
+    log = save(tmp_path / 'log.mcap', change(two_epochs(run)))
+    line = refused(tmp_path, capsys, 'verify', log)
+    assert f'log.mcap: {COMMITTED}: ' in line
+    assert message in line
+
+
+def test_states_whose_stamps_go_back_need_a_start(run, tmp_path):
+    sent = [*epoch(run, FIRST, TORQUES), *epoch(run, FIRST, TORQUES)]
+    log = save(tmp_path / 'log.mcap', sent)
+    assert verify(log, run, log).epochs == 2
+    log = save(tmp_path / 'log.mcap', without(sent, COMMITTED, 40))
+    with pytest.raises(InputError, match='in message 41, because its stamp, 5100000000 ns, is not '
+                                         'later than the one before, 8900000000 ns'):
+        verify(log, run, log)
+
+
+@pytest.mark.parametrize('count', [1, 3])
+def test_a_state_may_be_the_start_of_the_next_epoch(run, tmp_path, count):
+    rest = State(5 * SECOND)
+    still = {ACCEPTED: rows([6.0, 7.0, 8.0], (0.0, 0.0, 0.0))}
+    again = State(7 * SECOND)  # as the state of the first epoch at this time
+    later = epoch(run, again, {ACCEPTED: rows([7.5, 9.0], (0.0, 0.0, 0.1))})
+    log = save(tmp_path / 'log.mcap', epoch(run, rest, still) + count * later)
+    result = verify(log, run, log)
+    assert (len(result.same), result.same.all(), result.pending) == (4 + 3 * count, True, 0)
+    assert f'states of /node/committed in {count + 1} epochs\n' in result.text()
