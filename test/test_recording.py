@@ -19,7 +19,7 @@ import re
 import sys
 
 import bags
-from conftest import EPOCH_NS, files_up_to, RECORDINGS, SECOND
+from conftest import EPOCH_NS, files_up_to, RECORDINGS, SECOND, write_torques
 from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 from mcap_ros2.decoder import DecoderFactory
@@ -35,30 +35,8 @@ TORQUES[0] = [5e-324, -0.0, 1.7976931348623157e308]
 STAMPS = EPOCH_NS + np.arange(50) * SECOND // 100
 
 
-def write(path, rows, topic='/torque'):
-    """Write WrenchStamped messages from rows of stamp, frame_id and torque."""
-    with recording.Writer(path) as writer:
-        writer.add_topic(topic, messages.WRENCH)
-        for stamp_ns, frame_id, torque in rows:
-            writer.write(topic, int(stamp_ns), messages.wrench(int(stamp_ns), frame_id, torque))
-    return path
-
-
-def torque_log(path, **options):
-    return recording.torque_log(path, recording.read(path, **options), 'base_link', 'world')
-
-
-@pytest.fixture
-def recorded(tmp_path):
-    return write(tmp_path / 'torque.mcap',
-                 [(stamp, 'base_link', torque) for stamp, torque in zip(STAMPS, TORQUES)])
-
-
-def test_what_is_written_is_read_to_the_last_bit(recorded):
-    log = torque_log(recorded)
-    assert log.torques.tobytes() == TORQUES.tobytes()
-    np.testing.assert_array_equal(log.times_ns, STAMPS)
-    assert [path.name for path in recorded.parent.iterdir()] == ['torque.mcap']
+def torque_log(path):
+    return recording.torque_log(path, recording.read(path), 'base_link', 'world')
 
 
 def interrupted_at(moment, action):
@@ -91,7 +69,7 @@ def test_an_interrupt_at_any_moment_leaves_a_whole_file_or_none(tmp_path):
     path, rows = tmp_path / 'torque.mcap', [(EPOCH_NS, '', TORQUES[0])]
     for moment in itertools.count(1):
         path.unlink(missing_ok=True)
-        interrupted = interrupted_at(moment, lambda: write(path, rows))
+        interrupted = interrupted_at(moment, lambda: write_torques(path, rows))
         assert [*tmp_path.iterdir()] in ([], [path])
         if path.exists():
             np.testing.assert_array_equal(torque_log(path).torques, TORQUES[:1])
@@ -101,8 +79,10 @@ def test_an_interrupt_at_any_moment_leaves_a_whole_file_or_none(tmp_path):
     assert path.exists()
 
 
-def test_the_file_has_what_ros2_bag_play_and_foxglove_need(recorded):
-    with open(recorded, 'rb') as stream:
+def test_the_file_has_what_ros2_bag_play_and_foxglove_need(tmp_path):
+    path = write_torques(tmp_path / 'torque.mcap', [
+        (stamp, 'base_link', torque) for stamp, torque in zip(STAMPS, TORQUES)])
+    with open(path, 'rb') as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         assert reader.get_header().profile == 'ros2'
         summary = reader.get_summary()
@@ -123,8 +103,8 @@ def test_the_file_has_what_ros2_bag_play_and_foxglove_need(recorded):
 
 
 def test_frames_come_from_each_message(tmp_path):
-    path = write(tmp_path / 'mixed.mcap', [(1, '', [1, 0, 0]), (2, 'world', [0, 1, 0]),
-                                           (3, 'base_link', [0, 0, 1])])
+    path = write_torques(tmp_path / 'mixed.mcap', [
+        (1, '', [1, 0, 0]), (2, 'world', [0, 1, 0]), (3, 'base_link', [0, 0, 1])])
     assert torque_log(path).in_space.tolist() == [False, True, False]
     with pytest.raises(InputError, match='mixed.mcap: /torque: interpolation linear: expected '
                                          'torques in one frame'):
@@ -133,8 +113,9 @@ def test_frames_come_from_each_message(tmp_path):
 
 def test_torques_are_sorted_and_of_equal_stamps_the_later_in_the_file_counts(tmp_path):
     year_ns = 365 * 86400 * SECOND  # a log of simulated time may begin at zero
-    path = write(tmp_path / 'twice.mcap', [(0, '', [1, 0, 0]), (year_ns, '', [2, 0, 0]),
-                                           (7, '', [3, 0, 0]), (year_ns, '', [4, 0, 0])])
+    path = write_torques(tmp_path / 'twice.mcap', [
+        (0, '', [1, 0, 0]), (year_ns, '', [2, 0, 0]), (7, '', [3, 0, 0]),
+        (year_ns, '', [4, 0, 0])])
     log = torque_log(path)
     assert log.times_ns.tolist() == [0, 7, year_ns]
     assert log.torques[:, 0].tolist() == [1.0, 3.0, 4.0]
@@ -143,7 +124,7 @@ def test_torques_are_sorted_and_of_equal_stamps_the_later_in_the_file_counts(tmp
 def test_the_log_of_a_node_is_divided_at_its_markers(tmp_path):
     starts = State(5, (0.5, 0.5, 0.5, 0.5), (1e-300, -0.0, 0.1), (1.0, 2.0, 3.0)), State(2)
     first, last = (messages.WRENCH.decode(messages.epoch_marker(start)) for start in starts)
-    path = write(tmp_path / 'epochs.mcap', [
+    path = write_torques(tmp_path / 'epochs.mcap', [
         (5, first.frame_id, [0, 0, 0]), (4, 'world', [1, 0, 0]), (8, '', [2, 0, 0]),
         (2, last.frame_id, [0, 0, 0]), (0, '', [3, 0, 0]), (9, '', [4, 0, 0]), (0, '', [5, 0, 0]),
         (2, last.frame_id, [0, 0, 0])])
@@ -169,9 +150,8 @@ def test_the_log_of_a_node_is_divided_at_its_markers(tmp_path):
     ([(0, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 1: expected a stamp .*in 2 of 2'),
     ([(EPOCH_NS, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 2: .* found 0, as in 1 of 2')])
 def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, message):
-    path = write(tmp_path / 'bad.mcap', rows)
     with pytest.raises(InputError, match=message):
-        torque_log(path)
+        torque_log(write_torques(tmp_path / 'bad.mcap', rows))
 
 
 @pytest.mark.parametrize(('topic', 'message'), [
@@ -184,21 +164,6 @@ def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, messa
 def test_a_topic_that_does_not_fit_is_named(topic, message):
     with pytest.raises(InputError, match=f'iss.mcap: {re.escape(message)}'):
         recording.read(RECORDINGS / 'iss.mcap', topic)
-
-
-def test_if_no_topic_fits_all_topics_are_listed_with_their_types(tmp_path):
-    path = tmp_path / 'other.mcap'
-    with open(path, 'wb') as stream:
-        writer = McapWriter(stream)
-        writer.start('ros2')
-        writer.register_channel('/imu', 'cdr', writer.register_schema(
-            'sensor_msgs/msg/Imu', 'ros2msg', b''))
-        writer.register_channel('/raw', 'cdr', 0)
-        writer.finish()
-    with pytest.raises(InputError, match=re.escape('WrenchStamped or geometry_msgs/msg/Wrench, '
-                                                   'found /imu (sensor_msgs/msg/Imu), '
-                                                   '/raw (no type)')):
-        recording.read(path)
 
 
 def test_a_message_that_is_not_what_its_schema_says_is_named(tmp_path):
@@ -237,25 +202,42 @@ def test_an_empty_name_is_no_folder():
 @pytest.mark.parametrize('count', [1, 10_000])
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, count):
     # The damage is at the end, or somewhere before.
-    random = np.random.default_rng(1)
+    torques = np.random.default_rng(1).normal(size=(count, 3))
     with files_up_to(512), pytest.raises(InputError,
                                          match='full.mcap: cannot write: File too large'):
-        write(tmp_path / 'full.mcap', [(k, '', random.normal(size=3)) for k in range(count)])
+        write_torques(tmp_path / 'full.mcap', ((1, '', torque) for torque in torques))
     assert not list(tmp_path.iterdir())
+
+
+def channels(path, *channels, encoding='cdr'):
+    """Write channels: the topic, the name, encoding and text of the type, and a message."""
+    with open(path, 'wb') as stream:
+        writer = McapWriter(stream)
+        writer.start('ros2')
+        for topic, name, schema_encoding, text, message in channels:
+            schema = writer.register_schema(name, schema_encoding, text.encode()) if name else 0
+            channel = writer.register_channel(topic, encoding, schema)
+            if message:
+                writer.add_message(channel, EPOCH_NS, message, EPOCH_NS)
+        writer.finish()
+    return path
 
 
 def registered(path, definition, encoding='ros2msg', kind=messages.WRENCH, message=None,
                name=None, message_encoding='cdr'):
     """Write a torque whose schema has the given definition and, if it is not None, name."""
     message = message or messages.wrench(EPOCH_NS, '', [1.0, 2.0, 3.0])
-    with open(path, 'wb') as stream:
-        writer = McapWriter(stream)
-        writer.start('ros2')
-        schema = writer.register_schema(name or kind.name, encoding, definition.encode())
-        channel = writer.register_channel('/torque', message_encoding, schema)
-        writer.add_message(channel, EPOCH_NS, message, EPOCH_NS)
-        writer.finish()
-    return path
+    return channels(path, ('/torque', name or kind.name, encoding, definition, message),
+                    encoding=message_encoding)
+
+
+def test_if_no_topic_fits_all_topics_are_listed_with_their_types(tmp_path):
+    path = channels(tmp_path / 'other.mcap', ('/imu', 'sensor_msgs/msg/Imu', 'ros2msg', '', b''),
+                    ('/raw', None, '', '', b''))
+    with pytest.raises(InputError, match=re.escape(
+            'WrenchStamped or geometry_msgs/msg/Wrench, found /imu (sensor_msgs/msg/Imu), '
+            '/raw (no type)')):
+        recording.read(path)
 
 
 STANDARD = messages.WRENCH.definition
@@ -392,15 +374,9 @@ def test_a_definition_of_rosidl_is_the_standard_one(tmp_path):
 
 
 def test_channels_of_a_topic_must_have_one_type(tmp_path):
-    path = tmp_path / 'two.mcap'
-    with open(path, 'wb') as stream:
-        writer = McapWriter(stream)
-        writer.start('ros2')
-        for kind in (messages.BARE_WRENCH, messages.WRENCH):
-            schema = writer.register_schema(kind.name, 'ros2msg', b'')
-            channel = writer.register_channel('/torque', 'cdr', schema)
-            writer.add_message(channel, EPOCH_NS, bytes([0, 1]) + bytes(98), EPOCH_NS)
-        writer.finish()
+    path = channels(tmp_path / 'two.mcap', *(
+        ('/torque', kind.name, 'ros2msg', '', bytes([0, 1]) + bytes(98))
+        for kind in (messages.BARE_WRENCH, messages.WRENCH)))
     with pytest.raises(InputError, match='/torque: expected the type geometry_msgs/msg/WrenchSt'
                                          "amped, found 'geometry_msgs/msg/Wrench'"):
         recording.read(path)
