@@ -156,7 +156,9 @@ def axes(name, unit='', names='xyz'):
     *((f'time,{axes("gyro_{}", unit)}', DEGREES) for unit in (
         ' (°/s)', '_dps', ' (dps)', ' [deg/s]')),
     *((f'timestamp,{axes(name)}', RATES) for name in (
-        'ang_vel_{}', 'rotationRate.{}', 'gyroRotation{}(rad/s)', 'omega_{}', '{} (rad/s)')),
+        'ang_vel_{}', 'angular_velocity.{}', 'rotationRate.{}', 'gyroRotation{}(rad/s)',
+        'omega_{}', '{} (rad/s)')),
+    (f'#timestamp [s],{axes("w_RS_S_{} [rad s^-1]")}', RATES),
     *((f'time,{axes(name, names="0123")}', WXYZ) for name in (
         'q{}', 'q[{}]', 'vehicle_attitude/q.0{}')),
     *((f'time,{axes(name, names="xyzw")}', ATTITUDE) for name in (

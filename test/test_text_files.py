@@ -15,6 +15,7 @@
 """Text files: torques and measurements whose first line names columns and units, and TUM files."""
 
 from conftest import EPOCH_NS, SECOND
+from field_data import seconds, table
 from hostile import outcome
 import measurements
 from measurements import torque_messages
@@ -127,50 +128,19 @@ def test_the_last_stamp_is_the_last_of_ros(tmp_path):
 
 # Measurements
 
-def seconds(stamp_ns):
-    return f'{stamp_ns // 10 ** 9}.{stamp_ns % 10 ** 9:09}'
-
-
-def lines(heading, *columns):
-    return '\n'.join([heading, *(','.join(map(str, row)) for row in zip(*columns))])
-
-
-def numbers(values):
-    return [','.join(map(repr, row)) for row in values.tolist()]
-
-
-@pytest.mark.parametrize(('heading', 'factor'), [
-    ('time,wx,wy,wz', 1.0), ('stamp (s),angular_velocity.x,angular_velocity.y,angular_velocity.z',
-                             1.0),
-    ('t [s],gyro_x (deg/s),gyro_y (deg/s),gyro_z (deg/s)', np.radians(1.0)),
-    ('#timestamp [s],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]', 1.0)])
-def test_angular_velocities_of_a_csv_file(tmp_path, heading, factor):
-    path = tmp_path / 'gyro.csv'
-    path.write_text(lines(heading, map(seconds, STAMPS.tolist()), numbers(RATES)))
-    found = read_measured(str(path))
-    assert found.topic == 'gyro.csv'
-    assert found.attitude is None
-    np.testing.assert_array_equal(found.stamps_ns, STAMPS)
-    np.testing.assert_allclose(found.angular_velocity, factor * RATES, rtol=1e-15)
-
-
 def test_attitudes_and_rates_in_any_order_with_other_columns(tmp_path):
-    path = tmp_path / 'log.csv'
-    rows = np.column_stack([TURNS[:, 3], RATES, TURNS[:, :3], np.ones(10)])
-    path.write_text(lines('time_ns,q.w,wx,wy,wz,q.x,q.y,q.z,battery', STAMPS.tolist()[::-1],
-                          numbers(rows[::-1])))
-    found = read_measured(str(path))
+    found = read_measured(table(
+        tmp_path / 'log.csv', 'time_ns,q.w,wx,wy,wz,q.x,q.y,q.z,battery', STAMPS[::-1],
+        TURNS[::-1, 3], RATES[::-1], TURNS[::-1, :3], np.ones(10)))
+    assert found.topic == 'log.csv'
     np.testing.assert_array_equal(found.stamps_ns, STAMPS)
     np.testing.assert_allclose(found.attitude, TURNS, atol=1e-15)
     np.testing.assert_array_equal(found.angular_velocity, RATES)
 
 
 def test_a_trajectory(tmp_path):
-    path = tmp_path / 'poses.tum'
-    path.write_text('# timestamp tx ty tz qx qy qz qw\n' + '\n'.join(
-        f'{seconds(stamp)} 1 2 3 {" ".join(map(repr, q))}'
-        for stamp, q in zip(STAMPS.tolist(), TURNS.tolist())))
-    found = read_measured(str(path))
+    found = read_measured(table(tmp_path / 'poses.tum', '# timestamp tx ty tz qx qy qz qw',
+                                seconds(STAMPS), np.ones((10, 3)), TURNS, separator=' '))
     np.testing.assert_array_equal(found.stamps_ns, STAMPS)
     np.testing.assert_allclose(found.attitude, TURNS, atol=1e-15)
     assert found.angular_velocity is None
@@ -188,19 +158,16 @@ def test_a_trajectory(tmp_path):
      'attitude or angular velocity, found 0 among 1'),
     ('a.csv', 'time,wx,wy,wz\n', 'found 0 among 0'),
     ('a.tum', '1 2 3\n', 'line 1: expected numbers'),
-    ('a.csv', '\xff', 'expected text in UTF-8')])
+    ('a.csv', '\xff', 'expected text in UTF-8'),
+    ('a.csv', None, 'cannot read the measurements')])
 def test_a_bad_file_is_one_line(tmp_path, name, text, message):
     path = tmp_path / name
-    path.write_bytes(text.encode('latin-1'))
+    if text is not None:
+        path.write_bytes(text.encode('latin-1'))
     with pytest.raises(InputError, match=message) as raised:
         read_measured(str(path))
     assert str(raised.value).startswith(str(path))
     assert '\n' not in str(raised.value)
-
-
-def test_a_file_that_is_missing_is_one_line(tmp_path):
-    with pytest.raises(InputError, match='missing.csv: cannot read the measurements'):
-        read_measured(str(tmp_path / 'missing.csv'))
 
 
 @pytest.mark.slow
@@ -209,11 +176,10 @@ def test_an_inertia_from_text_alone(tmp_path, capsys):
     sensor = truth.measured(2e-3, 5e-3)
     measurements.write(tmp_path / 'torque.mcap', torque=torque_messages(truth))
     measurements.write_scene(tmp_path / 'scene.yaml', truth)
-    gyro, poses = tmp_path / 'gyro.csv', tmp_path / 'poses.tum'
-    gyro.write_text(lines('time_ns,wx,wy,wz', sensor.stamps_ns.tolist(),
-                          numbers(sensor.angular_velocity)))
-    poses.write_text('\n'.join(f'{seconds(stamp)} 0 0 0 {" ".join(map(repr, q))}' for stamp, q
-                               in zip(sensor.stamps_ns.tolist(), sensor.attitude.tolist())))
+    gyro = table(tmp_path / 'gyro.csv', 'time_ns,wx,wy,wz', sensor.stamps_ns,
+                 sensor.angular_velocity)
+    poses = table(tmp_path / 'poses.tum', '#', seconds(sensor.stamps_ns),
+                  np.zeros((len(sensor), 3)), sensor.attitude, separator=' ')
     arguments = [str(tmp_path / 'torque.mcap'), '--scene', str(tmp_path / 'scene.yaml'),
                  '--measured', str(gyro), '--measured', str(poses), '--estimate',
                  'inertia,start,gyro_bias@gyro.csv']
