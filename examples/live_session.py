@@ -77,6 +77,8 @@ class LiveSession:
     ----------
     received : dict
         Serialized messages (CDR) by topic, in order of arrival.
+    kinds : dict
+        The kind of message of each of these topics.
     diagnostics : list
         DiagnosticArray messages, in order of arrival.
     process : Popen
@@ -99,6 +101,7 @@ class LiveSession:
         self.command = [*program, '--ros-args', '--params-file', str(scene), *arguments]
         # With these arguments, the node publishes nothing before the first /clock or torque.
         self._waits = {'use_sim_time:=true', 'mode:=lockstep'} & {*arguments}
+        self.kinds = dict(_KINDS)
         self.received = {topic: [] for topic in _KINDS}
         self.diagnostics = []
 
@@ -305,7 +308,7 @@ class LiveSession:
     def write(self, path):
         """Write the received messages to a recording."""
         with recording.Writer(path) as writer:
-            for topic, kind in _KINDS.items():
+            for topic, kind in self.kinds.items():
                 writer.add_topic(topic, kind)
                 for data in self.received[topic]:
                     writer.write(topic, kind.decode(data).stamp_ns, data)

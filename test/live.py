@@ -14,6 +14,7 @@
 
 """Helpers for the tests of the node."""
 
+from dataclasses import replace
 import os
 import time
 from typing import NamedTuple
@@ -25,16 +26,29 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rigid_body_ros import messages, recording, scene
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rigid_body_ros import messages, Problem, read, recording, scene, TorqueLog
 from rigid_body_ros.node import AttitudeNode
+from rigid_body_ros.node.open_loop import message_type
 from rigid_body_ros.node.process import executor_of
-from rigid_body_ros.replay.verify import verify
+from rigid_body_ros.replay.verify import Verified, verify
 
 TUMBLER = CONFIG / 'tumbler.yaml'
-#: Parameters to accept every torque, however long the machine delays a process.
-PATIENT = ('-p', 'history:=60.0', '-p', 'max_future:=59.9')
+#: The log of the torques on the default topic.
+LOG = recording.Topics((ACCEPTED,))
 #: s; how long to wait for anything.
 PATIENCE = 300.0
+#: The profile for logs of the node: all messages, from its start on.
+EVERYTHING = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def options(text):
+    """Return the arguments of a node for parameters, separated by spaces."""
+    return [word for one in text.split() for word in ('-p', one)]
+
+
+#: Parameters to accept every torque, however long the machine delays a process.
+PATIENT = options('history:=60.0 max_future:=59.9')
 
 
 class Session(LiveSession):
@@ -93,6 +107,12 @@ class Session(LiveSession):
             self._executor.add_node(self.node)
         self.tested = None
 
+    def record(self, topic, kind, qos=EVERYTHING):
+        """Record another topic, which `write` writes as well."""
+        self.kinds[topic], self.received[topic] = kind, []
+        self.node.create_subscription(message_type(topic, kind.name), topic,
+                                      self.received[topic].append, qos, raw=True)
+
     def restart(self):
         """Destroy the node, and create another."""
         self._destroy()
@@ -107,10 +127,15 @@ class Session(LiveSession):
         return 0
 
 
-def decoded(live, topic, kind):
+def decoded(live, topic, kind=None):
     """Return the decoded messages of a topic, without the markers that begin epochs."""
-    found = [kind.decode(data) for data in live.received[topic]]
+    found = [(kind or live.kinds[topic]).decode(data) for data in live.received[topic]]
     return [message for message in found if not messages.is_epoch_marker(message.frame_id)]
+
+
+def stamps_of(live, topic):
+    """Return the stamps of the messages of a topic, without the markers that begin epochs."""
+    return [message.stamp_ns for message in decoded(live, topic)]
 
 
 class LateTorque(NamedTuple):
@@ -122,16 +147,20 @@ class LateTorque(NamedTuple):
     torque: np.ndarray
 
 
-def late_torques(start_ns, count, rate):
-    """Return torques in the order of publication; half of them are late by up to half a second."""
-    random, torques = np.random.default_rng(17), []
+def late(random, start_ns, count, rate):
+    """Generate times to publish at, and stamps; half are late by up to half a second."""
     for number in range(count):
         stamp_ns = start_ns + number * SECOND // rate + int(random.integers(0, SECOND // 500))
-        delay_ns = int(random.integers(0, SECOND // 2)) * int(random.integers(0, 2))
-        torque = random.normal(size=3) * 0.02 * (random.random() > 0.3)
-        frame_id = ('', 'base_link', 'world')[random.integers(3)]
-        torques.append(LateTorque(stamp_ns + delay_ns, stamp_ns, frame_id, torque))
-    return sorted(torques)
+        yield stamp_ns + int(random.integers(0, SECOND // 2)) * int(random.integers(2)), stamp_ns
+
+
+def late_torques(start_ns, count, rate):
+    """Return torques in the order of publication; half of them are late by up to half a second."""
+    random = np.random.default_rng(17)
+    return sorted(LateTorque(
+        *times_ns, ('', 'base_link', 'world')[random.integers(3)],
+        random.normal(size=3) * 0.02 * (random.random() > 0.3))
+        for times_ns in late(random, start_ns, count, rate))
 
 
 def publish_when_due(live, torques):
@@ -141,42 +170,64 @@ def publish_when_due(live, torques):
 
 
 class Run(NamedTuple):
-    """The committed states (attitude and body rates) of the last epoch, and their replay."""
+    """The last epoch of a session: its committed states (attitude and rates) and their replay."""
 
     stamps_ns: np.ndarray
     committed: np.ndarray
     replay: np.ndarray
-    #: All accepted torques of all epochs.
+    #: All accepted torques of all epochs, on the first topic.
     accepted: recording.Messages
+    #: The parameters that the node reported, the problem of the epoch, and how all epochs agree.
+    scene: scene.Scene
+    problem: Problem
+    verified: Verified
 
 
-def replayed(tmp_path, live):
-    """Replay the torques that a session accepted, with the parameters in live.yaml."""
-    live.write(tmp_path / 'live.mcap')
+def replayed(tmp_path, live, topics=LOG, given=None):
+    """
+    Replay the torques that a session accepted, with the parameters in live.yaml.
+
+    Check that each epoch has the bits of its states, with the parameters in the file `given`, if
+    they were others at its start.
+    """
     path, run = tmp_path / 'live.mcap', scene.load(tmp_path / 'live.yaml')
-    recorded = recording.read(path, ACCEPTED)
-    is_torque = ~np.array([*map(messages.is_epoch_marker, recorded.frame_ids)])
-    *_, last = recording.epochs(path, recorded)
-    log = recording.torque_log(path, last, run.body_frame, run.space_frame)
+    live.write(path)
+    result = verify(path, scene.load(given) if given else run, path, topics,
+                    motion_topic=COMMITTED)
+    assert result.same.all()
+    assert result.epochs == result.compared_epochs
+    problem = read(path, run, topic=topics.torques, wheel_torque=topics.wheel_torque,
+                   wheel_command=topics.wheel_command, inertia=topics.inertia)
     committed = recording.read(path, COMMITTED, messages.ODOMETRY)
-    # --verify accepts every epoch.
-    accepted = recording.Topics((ACCEPTED,))
-    assert verify(path, run, path, accepted, motion_topic=COMMITTED).same.all()
     # If several states have the start time, the last is the start of the last epoch.
-    begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
+    begin = int(np.flatnonzero(committed.stamps_ns == problem.start.time_ns)[-1])
     stamps_ns, values = committed.stamps_ns[begin:], live_values(committed)[begin:]
-    motion = run.problem().replaced(log=log).propagate(at=stamps_ns)
+    motion = problem.propagate(at=stamps_ns)
+    accepted = recording.read(path, ACCEPTED)
+    is_torque = ~np.array([*map(messages.is_epoch_marker, accepted.frame_ids)])
     return Run(stamps_ns, values, np.hstack([motion.attitude, motion.angular_velocity]),
-               recorded.rows(is_torque))
+               accepted.rows(is_torque), run, problem, result)
 
 
-def finished(tmp_path, live):
+def finished(tmp_path, live, topics=LOG, given=None):
     """End a session, and return its run, whose replay has the bits of the committed states."""
     live.dump_parameters(tmp_path / 'live.yaml')
     assert live.stop() == 0
-    run = replayed(tmp_path, live)
+    return same_bits(tmp_path, live, topics, given)
+
+
+def same_bits(tmp_path, live, topics=LOG, given=None):
+    """Return the run of a session that has ended; its replay has the bits of its states."""
+    run = replayed(tmp_path, live, topics, given)
     np.testing.assert_array_equal(run.committed, run.replay)
     return run
+
+
+def tumbler(stamps_ns, torques, start_ns=None):
+    """Return the problem of the tumbler under torques; by default it starts at the first."""
+    run = scene.load(TUMBLER)
+    start = replace(run.start, time_ns=stamps_ns[0] if start_ns is None else start_ns)
+    return run.problem(start).replaced(log=TorqueLog(stamps_ns, torques))
 
 
 def live_values(committed):
@@ -208,13 +259,26 @@ def check_late_torques(tmp_path, live, count, rate):
     assert run.stamps_ns[0] == scene.load(tmp_path / 'live.yaml').start.time_ns
 
 
-def run_clock(live, start_ns, until=lambda: False, seconds=100):
-    """Advance simulated time, or keep it at the start until a condition holds."""
-    for tick in range(seconds * 100 + 1):
-        live.set_clock(start_ns + (tick * SECOND // 100 if seconds < 100 else 0))
-        live.spin(0.002)
-        if until():
-            return
+def hold_clock(live, now_ns, condition, what):
+    """Publish a simulated time until a condition holds."""
+    def holds():
+        live.set_clock(now_ns)
+        return condition()
+    live.wait_until(holds, what)
+
+
+def start_clock(live, now_ns):
+    """Publish a time until the node begins its first epoch; it rejects torques before that."""
+    hold_clock(live, now_ns, lambda: live.received[COMMITTED], 'the start of the first epoch')
+
+
+def run_clock(live, begin_ns, end_ns, torque=None):
+    """Advance simulated time in ticks of 10 ms, with a torque every tenth of a second."""
+    for now_ns in range(begin_ns, end_ns + 1, SECOND // 100):
+        live.set_clock(now_ns)
+        live.spin(0.003)
+        if torque and now_ns % (SECOND // 10) == 0:
+            live.publish(now_ns, 'base_link', torque(now_ns))
 
 
 def spin_until(executor, condition):

@@ -15,22 +15,29 @@
 """attitude_node with several topics of torques, rotors, actuators, a changing body and an IMU."""
 
 import re
-from typing import NamedTuple
 
 from conftest import SECOND
-from geometry_msgs.msg import InertiaStamped, Twist, Vector3Stamped, Wrench, WrenchStamped
-from live import commit, decoded, finished, live_values, PATIENT, Session, set_parameter, TUMBLER
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE
-from nav_msgs.msg import Odometry
+from geometry_msgs.msg import Twist, Vector3Stamped, Wrench, WrenchStamped
+from live import (
+    commit,
+    decoded,
+    finished,
+    late,
+    options,
+    PATIENT,
+    Session,
+    set_parameter,
+    stamps_of,
+    TUMBLER,
+)
+from live_session import ACCEPTED, ATTITUDE, RELIABLE
 import numpy as np
 import pytest
 from rcl_interfaces.srv import DescribeParameters
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from rigid_body_ros import messages, Problem, read, recording, RigidBody, scene, State
+from rigid_body_ros import messages, recording, RigidBody, scene, State
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.node.open_loop import message_type
 from rigid_body_ros.replay import replay
-from rigid_body_ros.replay.verify import verify
-from sensor_msgs.msg import Imu
 
 pytestmark = pytest.mark.ros
 WHEELS, INERTIA, APPLIED = 'wheel_torque', 'inertia', 'applied_torque'
@@ -39,29 +46,25 @@ LOGS = {'torque': ACCEPTED, 'disturbance': f'{ACCEPTED}_1',
         WHEELS: '/attitude_node/accepted_wheel_torque',
         INERTIA: '/attitude_node/accepted_inertia'}
 TORQUES = [*LOGS][:3]
-KINDS = {**dict.fromkeys(TORQUES, (WrenchStamped, messages.WRENCH)),
-         INERTIA: (InertiaStamped, messages.INERTIA)}
+KINDS = {**dict.fromkeys(TORQUES, messages.WRENCH), INERTIA: messages.INERTIA}
 #: Other outputs that are recorded by topic and stamp.
-OUTPUTS = {APPLIED: (WrenchStamped, messages.WRENCH), 'imu/data': (Imu, messages.IMU),
-           'rotor_momentum': (Vector3Stamped, messages.VECTOR3),
-           'odometry': (Odometry, messages.ODOMETRY)}
-SOURCES = ('-p', 'torque_topics:=[torque, disturbance]', '-p', 'wheels:=true',
-           '-p', 'initial_rotor_momentum.x:=0.01', '-p', 'initial_rotor_momentum.z:=-0.02',
-           *RELIABLE, '-p', 'qos_overrides./disturbance.subscription.reliability:=reliable',
-           '-p', 'qos_overrides./wheel_torque.subscription.reliability:=reliable')
-ACTUATOR = ('-p', 'actuator.topics:=[torque]', '-p', 'actuator.delay:=0.03',
-            '-p', 'actuator.time_constant:=0.05', '-p', 'actuator.limit.x:=0.01',
-            '-p', 'actuator.limit.z:=0.015')
-CHANGES = ('-p', 'inertia_topic:=true', '-p', 'inertia_change:=keep_momentum')
-DAMPED = ('-p', 'torque_timeout:=0.02', '-p', 'damping.dxx:=0.01', '-p', 'damping.dyy:=0.02')
-IMU = [word for key, value in {
-    'imu.gyro_noise_density': 2e-3, 'imu.gyro_random_walk': 1e-3, 'imu.gyro_bias.x': 0.01,
-    'imu.attitude_noise': 3e-3, 'imu.delay': 0.05, 'imu.seed': 7,
-    'odometry.attitude_variance': 1e-4, 'odometry.rate_variance': 2e-6,
-}.items() for word in ('-p', f'{key}:={value}')]
-LOCKSTEP = ('-p', 'mode:=lockstep', '-p', 'step:=0.02')
+OUTPUTS = {APPLIED: messages.WRENCH, 'imu/data': messages.IMU,
+           'rotor_momentum': messages.VECTOR3, 'odometry': messages.ODOMETRY}
+SOURCES = (*RELIABLE, *options(
+    'torque_topics:=[torque,disturbance] wheels:=true initial_rotor_momentum.x:=0.01 '
+    'initial_rotor_momentum.z:=-0.02 '
+    'qos_overrides./disturbance.subscription.reliability:=reliable '
+    'qos_overrides./wheel_torque.subscription.reliability:=reliable'))
+ACTUATOR = options('actuator.topics:=[torque] actuator.delay:=0.03 actuator.time_constant:=0.05 '
+                   'actuator.limit.x:=0.01 actuator.limit.z:=0.015')
+CHANGES = options('inertia_topic:=true inertia_change:=keep_momentum')
+DAMPED = options('torque_timeout:=0.02 damping.dxx:=0.01 damping.dyy:=0.02')
+IMU = options('imu.gyro_noise_density:=0.002 imu.gyro_random_walk:=0.001 imu.gyro_bias.x:=0.01 '
+              'imu.attitude_noise:=0.003 imu.delay:=0.05 imu.seed:=7 '
+              'odometry.attitude_variance:=0.0001 odometry.rate_variance:=2.0e-6')
+LOCKSTEP = options('mode:=lockstep step:=0.02')
 #: The IMU measures states that late torques can no longer change.
-FINAL = ('-p', 'history:=0.02', '-p', 'max_future:=0.01')
+FINAL = options('history:=0.02 max_future:=0.01')
 STEP_NS = SECOND // 50
 #: A weight below the pivot, a dipole, and an orbit whose gravity gradient is strong enough to see.
 FIELDS = """
@@ -86,23 +89,22 @@ class Sources(Session):
 
     def _connect(self):
         super()._connect()
-        self.publishers = {topic: self.node.create_publisher(kind, topic, 10_000)
-                           for topic, (kind, _) in KINDS.items() if topic != 'torque'}
+        self.topics = [*LOGS] if CHANGES[1] in self.command else TORQUES
+        self.publishers = {topic: self.node.create_publisher(
+            message_type(topic, kind.name), topic, 10_000)
+            for topic, kind in KINDS.items() if topic != 'torque'}
         self.publishers['torque'] = self._torque
-        everything = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        for topic, log in [*LOGS.items()][1:]:
-            self.received[log] = []
-            self.node.create_subscription(KINDS[topic][0], log, self.received[log].append,
-                                          everything, raw=True)
+        for topic in self.topics[1:]:
+            self.record(LOGS[topic], KINDS[topic])
         self.outputs = {topic: {} for topic in OUTPUTS}
-        for topic, (kind, code) in OUTPUTS.items():
-            def hear(data, topic=topic, code=code):
-                message = code.decode(data)
+        for topic, kind in OUTPUTS.items():
+            def hear(data, topic=topic, kind=kind):
+                message = kind.decode(data)
                 first = self.outputs[topic].setdefault(message.stamp_ns, message)
                 # While no torque arrives, a lockstep loop repeats its states.
                 np.testing.assert_array_equal(message.values, first.values)
-            self.node.create_subscription(kind, topic, hear, 1000, raw=True)
-        self.topics = [*LOGS] if CHANGES[1] in self.command else TORQUES
+            self.node.create_subscription(message_type(topic, kind.name), topic, hear, 1000,
+                                          raw=True)
         for topic in self.topics:
             self.wait_until(self.publishers[topic].get_subscription_count, 'the subscription')
         self.given = self._folder / 'given.yaml'
@@ -115,69 +117,28 @@ class Sources(Session):
 
     def accepted(self, topic):
         """Return the accepted messages of a topic, decoded, of all epochs."""
-        return decoded(self, LOGS[topic], KINDS[topic][1])
+        return decoded(self, LOGS[topic])
 
-    def states(self):
-        """Return the stamps of the attitudes."""
-        return [messages.QUATERNION.decode(data).stamp_ns for data in self.received[ATTITUDE]]
-
-    def write(self, path):
-        """Write the logs and the committed states to a recording; return its topics."""
-        kinds = {LOGS[topic]: KINDS[topic][1] for topic in self.topics}
-        with recording.Writer(path) as writer:
-            for topic, kind in {COMMITTED: messages.ODOMETRY, **kinds}.items():
-                writer.add_topic(topic, kind)
-                for data in self.received[topic]:
-                    writer.write(topic, kind.decode(data).stamp_ns, data)
-        torque, other, wheels, *inertia = kinds
+    def log(self):
+        """Return the topics of the logs, in the order of a replay."""
+        torque, other, wheels, *inertia = (LOGS[topic] for topic in self.topics)
         return recording.Topics((torque, other), wheels, inertia=inertia[0] if inertia else None)
 
 
-class Flight(NamedTuple):
-    """A finished session, and the problem of its last epoch, which replays its states."""
-
-    live: Sources
-    path: str
-    topics: recording.Topics
-    #: The parameters that the node reported before it ended.
-    scene: scene.Scene
-    problem: Problem
-    #: The stamps of the committed states of the last epoch.
-    stamps_ns: np.ndarray
-
-
 def flown(folder, live):
-    """End a session, and check that a replay has the bits of the states of every epoch."""
-    live.dump_parameters(folder / 'live.yaml')
-    live.stop()
-    path, run = folder / 'live.mcap', scene.load(folder / 'live.yaml')
-    topics = live.write(path)
+    """End a session; a replay has the bits of the states of every epoch."""
     # The orbit begins with the first epoch, so the node reports another at the end.
-    result = verify(path, scene.load(live.given), path, topics)
-    assert result.same.all()
-    assert result.epochs == result.compared_epochs
-    problem = read(path, run, topic=topics.torques, wheel_torque=topics.wheel_torque,
-                   inertia=topics.inertia)
-    committed = recording.read(path, COMMITTED, messages.ODOMETRY)
-    begin = int(np.flatnonzero(committed.stamps_ns == problem.start.time_ns)[-1])
-    stamps_ns = committed.stamps_ns[begin:]
-    motion = problem.propagate(at=stamps_ns)
-    np.testing.assert_array_equal(live_values(committed)[begin:],
-                                  np.hstack([motion.attitude, motion.angular_velocity]))
-    return Flight(live, path, topics, run, problem, stamps_ns)
+    return finished(folder, live, live.log(), live.given)
 
 
-def plan(live, random, seconds=1):
+def plan(live, random):
     """Return messages in the order of publication: due time, topic, stamp, values, frame."""
     start_ns, rows = live.now_ns(), []
     for topic in TORQUES:
-        for number in range(200 * seconds):
-            stamp_ns = start_ns + number * SECOND // 200 + int(random.integers(0, SECOND // 500))
-            delay_ns = int(random.integers(0, SECOND // 2)) * int(random.integers(0, 2))
+        frames = ('', 'base_link') if topic == WHEELS else ('', 'base_link', 'world')
+        for due_ns, stamp_ns in late(random, start_ns, 200, 200):
             torque = random.normal(size=3) * 0.02 * (random.random() > 0.3)
-            frames = ('', 'base_link') if topic == WHEELS else ('', 'base_link', 'world')
-            rows.append((stamp_ns + delay_ns, topic, stamp_ns, torque,
-                         frames[random.integers(len(frames))]))
+            rows.append((due_ns, topic, stamp_ns, torque, frames[random.integers(len(frames))]))
     if INERTIA in live.topics:  # at the stamp of a torque, and between stamps
         for stamp_ns in (rows[20][2], *(rows[k][2] + 1 for k in (10, 30, 50, 70, 90))):
             body = RigidBody.from_point_masses(random.uniform(0.1, 1.0, 6),
@@ -188,7 +149,7 @@ def plan(live, random, seconds=1):
 
 
 @pytest.mark.parametrize('arguments', [
-    DAMPED, CHANGES, (*ACTUATOR, '-p', 'torque_timeout:=0.02')],
+    DAMPED, CHANGES, [*ACTUATOR, *options('torque_timeout:=0.02')]],
     ids=['damped', 'changes', 'actuator'])
 def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, arguments):
     with Sources(tmp_path, TUMBLER, domain, *SOURCES, *PATIENT, *arguments) as live:
@@ -200,7 +161,7 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, ar
                         == len(rows), 'all messages')
         stamps = np.unique([stamp_ns for _, _, stamp_ns, *_ in rows])
         commit(live, 1 + len(stamps))
-        flight = flown(tmp_path, live)
+        run = flown(tmp_path, live)
     for topic in live.topics:
         accepted = [message.stamp_ns for message in live.accepted(topic)]
         if topic == 'torque':
@@ -208,10 +169,10 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, ar
         assert sorted(accepted) == sorted(row[2] for row in rows if row[1] == topic)
         assert np.any(np.diff(accepted) < 0)  # they did come out of order
     # One state for each change, however many sources there are.
-    np.testing.assert_array_equal(flight.stamps_ns[1:1 + len(stamps)], stamps)
-    assert flight.scene.start.rotor_momentum.tolist() == [0.01, 0.0, -0.02]
+    np.testing.assert_array_equal(run.stamps_ns[1:1 + len(stamps)], stamps)
+    assert run.scene.start.rotor_momentum.tolist() == [0.01, 0.0, -0.02]
     # The arguments matter: without them, the motion differs.
-    end, problem = [int(stamps[-1])], flight.problem
+    end, problem = [int(stamps[-1])], run.problem
     without = scene.load(TUMBLER).problem(problem.start).replaced(
         log=problem.logs, wheels=problem.wheels)
     assert abs(without.propagate(at=end).attitude
@@ -237,8 +198,8 @@ def lockstep(tmp_path_factory, domain):
                     live.publish_on(topic, number * STEP_NS, 0.02 * random.normal(size=3)
                                     if command else [0.001, 0.0, 0.002],
                                     'world' if command and random.random() < 0.3 else '')
-                live.wait_until(lambda due_ns=(number + 1) * STEP_NS: due_ns in live.states(),
-                                'a response')
+                live.wait_until(lambda due_ns=(number + 1) * STEP_NS: due_ns in stamps_of(
+                    live, ATTITUDE), 'a response')
         ask(range(50, 65))
         count = len(live.received[ATTITUDE])
         live.publish_on(INERTIA, 65 * STEP_NS, LIGHTER)
@@ -247,8 +208,8 @@ def lockstep(tmp_path_factory, domain):
         ask(range(65, 80))
         begin_ns = 79 * STEP_NS + STEP_NS // 2
         live.set_state(State(begin_ns, (0, 0, 0, 1), (0.1, 0.2, 0.3)))
-        live.wait_until(lambda: begin_ns in live.states() and len(live.accepted(INERTIA)) == 2,
-                        'the new epoch')
+        live.wait_until(lambda: begin_ns in stamps_of(live, ATTITUDE)
+                        and len(live.accepted(INERTIA)) == 2, 'the new epoch')
         ask(range(80, 100))
         names = [f'{name}.{group}.{axis}' for name in ('pivot', 'magnet')
                  for group in ('moment', 'field') for axis in 'xyz']
@@ -257,43 +218,38 @@ def lockstep(tmp_path_factory, domain):
                    for each in described)
         denied = set_parameter(live, 'pivot.moment.z', 0.0)
         assert 'pivot.moment.z' in denied.reason
-        return flown(folder, live)
+        run = flown(folder, live)
+        return live, folder / 'live.mcap', run
 
 
-def test_the_scene_that_a_node_reports_is_that_of_its_last_epoch(lockstep):
+def test_a_new_epoch_has_the_orbit_body_and_torques_of_the_last_one(lockstep):
+    live, _, run = lockstep
+    problem, begin_ns = run.problem, run.problem.start.time_ns
     # `flown` has replayed this scene, which begins later on the orbit than the given one.
-    assert lockstep.problem.start.time_ns == 79 * STEP_NS + STEP_NS // 2
-    angle = 0.2 * (lockstep.problem.start.time_ns - SECOND) * 1e-9
-    np.testing.assert_allclose(lockstep.problem.fields[-1].position, so3.rotate(
+    assert begin_ns == 79 * STEP_NS + STEP_NS // 2
+    angle = 0.2 * (begin_ns - SECOND) * 1e-9
+    np.testing.assert_allclose(problem.fields[-1].position, so3.rotate(
         so3.exp([0.0, 0.0, angle]), [0.8, 0.6, 0.0]), atol=1e-15)
-    without = lockstep.problem.replaced(fields=()).propagate(at=lockstep.stamps_ns)
-    motion = lockstep.problem.propagate(at=lockstep.stamps_ns)
-    assert abs(without.attitude - motion.attitude).max() > 0.01
-
-
-def test_the_body_that_changed_acts_in_the_next_epoch(lockstep):
-    problem = lockstep.problem
-    assert tuple(problem.body_at(problem.start.time_ns).entries) == LIGHTER
-
-
-def test_each_state_comes_with_the_torque_that_acts(lockstep):
-    begin_ns = lockstep.problem.start.time_ns
-    applied = lockstep.live.outputs[APPLIED]
+    without = problem.replaced(fields=())
+    assert abs(without.propagate(at=run.stamps_ns).attitude - run.replay[:, :4]).max() > 0.01
+    assert tuple(problem.body_at(begin_ns).entries) == LIGHTER
+    # Each state comes with the torque that acts.
+    applied = live.outputs[APPLIED]
     times_ns = np.array([begin_ns, *(stamp_ns for stamp_ns in applied if stamp_ns > 80 * STEP_NS)])
     assert len(times_ns) == 21
     assert applied[begin_ns].values.any()  # the torque from before the epoch still acts
-    motion = lockstep.problem.propagate(at=times_ns)
-    np.testing.assert_allclose([applied[stamp_ns].values[3:] for stamp_ns in times_ns],
-                               lockstep.problem.replaced(fields=()).torque(
-                                   times_ns, motion.attitude), rtol=1e-13, atol=1e-17)
+    np.testing.assert_allclose(
+        [applied[stamp_ns].values[3:] for stamp_ns in times_ns],
+        without.torque(times_ns, problem.propagate(at=times_ns).attitude), rtol=1e-13, atol=1e-17)
 
 
 def test_the_noise_of_the_imu_is_that_of_a_replay(lockstep, tmp_path):
-    output, topics = tmp_path / 'out.mcap', lockstep.topics
-    replay(lockstep.path, scene.load(lockstep.live.given), output, topic=topics.torques,
-           inertia=topics.inertia, wheel_torque=topics.wheel_torque, also=('imu',))
+    (live, path, _), output = lockstep, tmp_path / 'out.mcap'
+    topics = live.log()
+    replay(path, scene.load(live.given), output, topic=topics.torques, inertia=topics.inertia,
+           wheel_torque=topics.wheel_torque, also=('imu',))
     written = recording.read(output, '/imu/data', messages.IMU)
-    found, odometry = (lockstep.live.outputs[topic] for topic in ('imu/data', 'odometry'))
+    found, odometry = (live.outputs[topic] for topic in ('imu/data', 'odometry'))
     assert len(written.stamps_ns) == 51
     # The first was published before this session connected.
     for stamp_ns, values in zip(written.stamps_ns.tolist()[1:], written.values[1:]):
@@ -312,15 +268,15 @@ def test_in_real_time_every_output_is_that_of_its_stamp(tmp_path, domain):
         known_ns = live.now_ns()  # on a busy machine, outputs before it may lack the torque
         live.wait_until(lambda: max(live.outputs['imu/data'], default=0)
                         > max(ahead_ns, known_ns) + SECOND // 5, 'outputs')
-        flight = flown(tmp_path, live)
+        run = flown(tmp_path, live)
     imu, odometry, rotors = ({stamp_ns: message.values for stamp_ns, message in
                               live.outputs[topic].items() if stamp_ns > known_ns}
                              for topic in ('imu/data', 'odometry', 'rotor_momentum'))
-    run, stamps_ns = flight.scene, np.array([*imu])
-    motion = flight.problem.propagate(
-        at=np.maximum(stamps_ns - run.imu.delay_ns, run.start.time_ns))
+    stamps_ns, sensor = np.array([*imu]), run.scene.imu
+    motion = run.problem.propagate(
+        at=np.maximum(stamps_ns - sensor.delay_ns, run.scene.start.time_ns))
     np.testing.assert_array_equal([*imu.values()], messages.imu_values(
-        stamps_ns, motion.attitude, motion.angular_velocity, run.imu))
+        stamps_ns, motion.attitude, motion.angular_velocity, sensor))
     stated = np.array([*odometry.values()])
     np.testing.assert_array_equal(stated[:, 7:43:7], [[1e6] * 3 + [1e-4] * 3] * len(stated))
     np.testing.assert_array_equal(stated[:, 49::7], [[1e6] * 3 + [2e-6] * 3] * len(stated))
@@ -375,23 +331,27 @@ def test_a_reset_keeps_the_torques_and_a_new_state_the_rotor_momentum(tmp_path, 
         live.spin(0.7)  # longer than `history`: a slow source keeps its torque
         live.publish_on('disturbance', live.now_ns(), [0.0, 0.0, 0.01])
         live.wait_until(lambda: live.accepted('disturbance'), 'the torque')
-        live.set_state(State(0, (0, 0, 1, 0), (0.1, 0.2, 0.3)))
+        given = State(live.now_ns() - 1, (0, 0, 1, 0), (0.1, 0.2, 0.3))
+        live.set_state(given)
         live.wait_until(lambda: len(live.accepted(WHEELS)) == 2, 'the new epoch')
         live.dump_parameters(tmp_path / 'live.yaml')
         start = scene.load(tmp_path / 'live.yaml').start
-        assert start.attitude.tolist() == [0, 0, 1, 0]
+        assert (start.time_ns, start.attitude.tolist()) == (given.time_ns, [0, 0, 1, 0])
         expected = 0.1 * (start.time_ns - begin_ns) * 1e-9
         np.testing.assert_allclose(start.rotor_momentum, [0.01, expected, -0.02], rtol=1e-14)
+        live.set_state(State(SECOND))
+        live.wait_until(lambda: 'initial_state rejected: late' in live.words(), 'its rejection')
         assert live.reset().success
         live.wait_until(lambda: len(live.accepted(WHEELS)) == 3, 'the torques of the new epoch')
         live.publish_on('torque', live.now_ns(), [0.01, 0.0, 0.0])
         live.wait_until(lambda: live.accepted('torque'), 'the torque')
-        flight = flown(tmp_path, live)
-    assert flight.scene.start.rotor_momentum.tolist() == [0.01, 0.0, -0.02]
+        run = flown(tmp_path, live)
+    initial = scene.load(TUMBLER).start
+    assert run.committed[0].tolist() == [*initial.attitude, *initial.angular_velocity]
+    assert run.scene.start.rotor_momentum.tolist() == [0.01, 0.0, -0.02]
     # Each epoch logs the torques in force again.
     assert [len(live.accepted(topic)) for topic in TORQUES] == [1, 3, 3]
-    assert [len(log.times_ns) for log in (*flight.problem.logs, flight.problem.wheels)] \
-        == [1, 1, 1]
+    assert [len(log.times_ns) for log in (*run.problem.logs, run.problem.wheels)] == [1, 1, 1]
 
 
 def test_lockstep_waits_for_every_topic_that_has_a_publisher(tmp_path, domain):
@@ -402,8 +362,8 @@ def test_lockstep_waits_for_every_topic_that_has_a_publisher(tmp_path, domain):
                 live.publish_on(topic, stamp_ns, [1e-3 * number, 2e-3 * place, 0.0])
                 if number == 5 and place < 2:
                     live.spin(0.1)
-                    assert live.states()[-1] == stamp_ns
-            live.wait_until(lambda due=stamp_ns + STEP_NS: live.states()[-1:] == [due],
+                    assert stamps_of(live, ATTITUDE)[-1] == stamp_ns
+            live.wait_until(lambda due=stamp_ns + STEP_NS: stamps_of(live, ATTITUDE)[-1:] == [due],
                             'a response')
         live.publish_on(WHEELS, 7 * STEP_NS, [0.0, 0.0, 1e-3])
         live.publish_on('torque', 7 * STEP_NS, [0.0, 0.0, 1e-3])
@@ -415,28 +375,16 @@ def test_lockstep_waits_for_every_topic_that_has_a_publisher(tmp_path, domain):
         def has_responded():  # repeat the torque, as a controller does
             live.publish_on('torque', 7 * STEP_NS, [0.0, 0.0, 1e-3])
             live.spin(0.1)
-            return live.states()[-1] == 8 * STEP_NS
+            return stamps_of(live, ATTITUDE)[-1] == 8 * STEP_NS
         live.wait_until(has_responded, 'a response')
-        flight = flown(tmp_path, live)
-    assert flight.stamps_ns.tolist() == [number * STEP_NS for number in range(1, 8)]
+        run = flown(tmp_path, live)
+    assert run.stamps_ns.tolist() == [number * STEP_NS for number in range(1, 8)]
 
 
 class Thrusters(Session):
     """A session whose only topic of torques has another name."""
 
     topic = 'thrusters'
-
-
-def test_one_topic_of_another_name_is_all_that_changes(tmp_path, domain):
-    with Thrusters(TUMBLER, domain, '-p', 'torque_topics:=[thrusters]', '-p',
-                   'qos_overrides./thrusters.subscription.reliability:=reliable') as live:
-        for number in range(5):
-            live.publish(live.now_ns(), '', [0.01, 0.0, 1e-3 * number])
-        live.wait_for_torques(5)
-        assert '/torque' not in [subscription.topic_name for subscription in (
-            *live.tested.subscriptions, *live.tested.polled)]
-        run = finished(tmp_path, live)
-    assert len(run.accepted.stamps_ns) == 5
 
 
 def made(kind, stamp_ns, torque):
@@ -452,11 +400,13 @@ def made(kind, stamp_ns, torque):
 
 @pytest.mark.parametrize('kind', [Wrench, Vector3Stamped])
 def test_torques_of_another_type_are_accepted_and_replayed(tmp_path, domain, stranger, kind):
-    with Session(TUMBLER, domain, *RELIABLE, *PATIENT, '-p', 'stale_after:=0.0') as live:
+    with Thrusters(TUMBLER, domain, *PATIENT, *options(
+            'stale_after:=0.0 torque_topics:=[thrusters] '
+            'qos_overrides./thrusters.subscription.reliability:=reliable')) as live:
         live.publish(live.now_ns(), '', [0.01, 0.0, 0.0])
         live.wait_for_torques(1)
         live.disconnect()
-        publisher = stranger.create_publisher(kind, 'torque', 10)
+        publisher = stranger.create_publisher(kind, 'thrusters', 10)
         live.wait_until(publisher.get_subscription_count, 'the node to subscribe')
         begin_ns, sent = live.now_ns(), []
         for number in range(5):
@@ -464,13 +414,15 @@ def test_torques_of_another_type_are_accepted_and_replayed(tmp_path, domain, str
             publisher.publish(made(kind, *sent[-1]))
         live.wait_for_torques(6)
         stranger.destroy_publisher(publisher)
-        live._torque = stranger.create_publisher(WrenchStamped, 'torque', 10)
+        live._torque = stranger.create_publisher(WrenchStamped, 'thrusters', 10)
         live.wait_until(lambda: live.torque_subscriptions, 'the node to subscribe again')
         end_ns = live.now_ns()
         commit(live, 7)
         live.wait_until(lambda: live.diagnosis('torques')[1:] == (0, 'OK'), 'no warning')
+        assert '/torque' not in [subscription.topic_name for subscription in (
+            *live.tested.subscriptions, *live.tested.polled)]
         run, words = finished(tmp_path, live), live.words()
-    assert f'/torque: torques are geometry_msgs/msg/{kind.__name__}' in words
+    assert f'/thrusters: torques are geometry_msgs/msg/{kind.__name__}' in words
     np.testing.assert_array_equal(run.accepted.values[1:-1, 3:], [torque for _, torque in sent])
     stamps_ns = run.accepted.stamps_ns[1:-1]
     if kind is Vector3Stamped:

@@ -21,18 +21,25 @@ import sys
 from conftest import at_night, ROOT, SECOND
 import four_wheels
 from geometry_msgs.msg import WrenchStamped
-from live import commit, decoded, PATIENT, run_clock, Session
-from live_session import COMMITTED, RELIABLE
+from live import (
+    commit,
+    decoded,
+    finished,
+    hold_clock,
+    late,
+    options,
+    PATIENT,
+    run_clock,
+    Session,
+    start_clock,
+)
+from live_session import RELIABLE
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import EffortLog, messages, Propagator, read, recording, regress, scene, State
 from rigid_body_ros.commands import main
-from rigid_body_ros.ensemble.dispersions import Dispersion
-from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.replay import replay
-from rigid_body_ros.replay.verify import verify
 from sensor_msgs.msg import JointState
 
 pytestmark = pytest.mark.ros
@@ -41,15 +48,14 @@ WHEELS = ('rw_x', 'rw_y', 'rw_z', 'rw_skewed')
 TORQUES = '/attitude_node/accepted_torque', '/attitude_node/accepted_torque_1'
 ACCEPTED = '/attitude_node/accepted_wheel_command'
 COMMANDS, STATES = messages.joint_commands(WHEELS), messages.joint_states(WHEELS)
-KINDS = {COMMITTED: messages.ODOMETRY, **dict.fromkeys(TORQUES, messages.WRENCH),
-         ACCEPTED: COMMANDS}
-SOURCES = ('-p', 'torque_topics:=[torque, disturbance]', *RELIABLE,
-           '-p', 'qos_overrides./disturbance.subscription.reliability:=reliable',
-           '-p', 'qos_overrides./wheel_command.subscription.reliability:=reliable')
+SOURCES = (*RELIABLE, *options(
+    'torque_topics:=[torque,disturbance] '
+    'qos_overrides./disturbance.subscription.reliability:=reliable '
+    'qos_overrides./wheel_command.subscription.reliability:=reliable'))
 #: Parameters of thrusters, in addition to the wheels.
-ACTUATOR = ('-p', 'actuator.topics:=[torque]', '-p', 'actuator.delay:=0.011',
-            '-p', 'actuator.time_constant:=0.03', '-p', 'actuator.limit.x:=0.002')
-LOCKSTEP = ('-p', 'mode:=lockstep')
+ACTUATOR = options('actuator.topics:=[torque] actuator.delay:=0.011 '
+                   'actuator.time_constant:=0.03 actuator.limit.x:=0.002')
+LOCKSTEP = options('mode:=lockstep')
 STEP_NS = SECOND // 50
 NAN = np.nan
 
@@ -59,15 +65,10 @@ class Wheels(Session):
 
     def _connect(self):
         super()._connect()
-        everything = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.received |= {ACCEPTED: [], TORQUES[1]: [], 'wheel_states': []}
+        self.record(ACCEPTED, COMMANDS)
+        self.record(TORQUES[1], messages.WRENCH)
+        self.record('wheel_states', STATES, 10_000)
         self._motors = self.node.create_publisher(JointState, 'wheel_command', 10_000)
-        self.node.create_subscription(JointState, ACCEPTED, self.received[ACCEPTED].append,
-                                      everything, raw=True)
-        self.node.create_subscription(JointState, 'wheel_states',
-                                      self.received['wheel_states'].append, 10_000, raw=True)
-        self.node.create_subscription(WrenchStamped, TORQUES[1],
-                                      self.received[TORQUES[1]].append, everything, raw=True)
         self.wait_until(self._motors.get_subscription_count, 'the node to subscribe')
 
     def turn(self, stamp_ns, efforts, frame_id=''):
@@ -86,62 +87,40 @@ class Wheels(Session):
                         'all commands')
         return self.diagnosis('wheel commands')[0]
 
-    def send(self, data):
-        """Publish a serialized command."""
-        self._motors.publish(data)
-
     def commands(self):
         """Return the accepted commands, decoded, of all epochs."""
-        return decoded(self, ACCEPTED, COMMANDS)
+        return decoded(self, ACCEPTED)
 
     def states(self):
         """Return the speeds and the efforts that were published last for each stamp."""
         found = [messages.decoded_joints(data) for data in self.received['wheel_states']]
         return {one.stamp_ns: (one.velocity, one.effort) for one in found}
 
-    def write(self, path):
-        """Write the logs and the committed states to a recording."""
-        with recording.Writer(path) as writer:
-            for topic, kind in KINDS.items():
-                writer.add_topic(topic, kind)
-                for data in self.received[topic]:
-                    writer.write(topic, kind.decode(data).stamp_ns, data)
-
 
 def checked(tmp_path, live, torques=TORQUES[:1]):
-    """Check that all epochs replay bit for bit; return the last problem, and the result."""
-    path = tmp_path / 'live.mcap'
-    live.dump_parameters(tmp_path / 'live.yaml')
-    assert live.stop() == 0
-    live.write(path)
-    run = scene.load(tmp_path / 'live.yaml')
-    result = verify(path, run, path, recording.Topics(torques, wheel_command=ACCEPTED))
-    assert result.same.all()
-    assert not result.pending
-    assert result.epochs == result.compared_epochs
-    problem = read(path, run, topic=torques, wheel_command=ACCEPTED)
+    """End a session, check that all epochs replay bit for bit, and return the run."""
+    run = finished(tmp_path, live, recording.Topics(torques, wheel_command=ACCEPTED))
+    assert not run.verified.pending
     # The parameters belong to the last epoch as well.
-    np.testing.assert_array_equal([wheel.initial_speed for wheel in run.named_wheels],
-                                  problem.start.wheel_speeds)
-    assert not run.start.rotor_momentum.any()
-    return problem, result
+    np.testing.assert_array_equal([wheel.initial_speed for wheel in run.scene.named_wheels],
+                                  run.problem.start.wheel_speeds)
+    assert not run.scene.start.rotor_momentum.any()
+    return run
 
 
 @pytest.mark.parametrize('friction', [0.0, *at_night(2e-5)])
 def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, friction):
     random = np.random.default_rng(38)
-    with Wheels(SCENE, domain, *SOURCES, *PATIENT, *ACTUATOR, '-p', 'torque_timeout:=0.05',
-                '-p', f'rw_skewed.friction:={friction}') as live:
+    with Wheels(SCENE, domain, *SOURCES, *PATIENT, *ACTUATOR, *options(
+            f'torque_timeout:=0.05 rw_skewed.friction:={friction}')) as live:
         disturbance = live.node.create_publisher(WrenchStamped, 'disturbance', 1000)
         live.wait_until(disturbance.get_subscription_count, 'the node to subscribe')
-        start_ns, plan = live.now_ns(), []
-        for k in range(150):
-            stamp_ns = start_ns + k * SECOND // 150 + int(random.integers(0, SECOND // 500))
-            delay_ns = int(random.integers(0, SECOND // 2)) * int(random.integers(0, 2))
+        plan = []
+        for due_ns, stamp_ns in late(random, live.now_ns(), 150, 150):
             efforts = random.normal(size=4) * 0.006
             efforts[random.random(4) < 0.4] = NAN
             efforts[random.integers(4)] = 0.003
-            plan.append((stamp_ns + delay_ns, stamp_ns, efforts))
+            plan.append((due_ns, stamp_ns, efforts))
         for k, (due_ns, stamp_ns, efforts) in enumerate(sorted(plan, key=lambda row: row[0])):
             live.spin((due_ns - live.now_ns()) * 1e-9)
             live.turn(stamp_ns, efforts, ('', 'base_link', 'elsewhere')[k % 3])
@@ -150,23 +129,23 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, fr
                 disturbance.publish(messages.wrench(
                     stamp_ns - 1, 'world', 0.001 * random.normal(size=3)))
         live.wait_until(lambda: len(live.commands()) == 150, 'all commands')
-        live.wait_until(lambda: [len(decoded(live, topic, messages.WRENCH)) for topic in TORQUES]
-                        == [50, 50], 'all torques')
+        live.wait_until(lambda: [len(decoded(live, topic)) for topic in TORQUES] == [50, 50],
+                        'all torques')
         arrived_ns = live.now_ns()
         commit(live, 1 + 150 + 50)
         counts = live.counts(150)
-        problem, result = checked(tmp_path, live, TORQUES)
+        run = checked(tmp_path, live, TORQUES)
     stamps = [message.stamp_ns for message in live.commands()]
     assert sorted(stamps) == sorted(stamp for _, stamp, _ in plan)
     assert np.any(np.diff(stamps) < 0)
-    assert {*stamps} < {*result.stamps_ns.tolist()}
+    assert {*stamps} < {*run.verified.stamps_ns.tolist()}
     assert counts['applied'] == 150
     given = np.array([efforts for *_, efforts in plan])
     assert counts['clipped to max_torque'] == np.sum(np.abs(given) > 0.004)
     # States that were published after all commands had arrived agree with the motion.
     found = {stamp: values for stamp, values in live.states().items() if stamp > arrived_ns}
     assert found
-    motion = problem.propagate(at=sorted(found))
+    motion = run.problem.propagate(at=sorted(found))
     np.testing.assert_array_equal(motion.wheel_speeds, [found[t][0] for t in sorted(found)])
     np.testing.assert_array_equal(motion.wheel_efforts, [found[t][1] for t in sorted(found)])
 
@@ -175,8 +154,9 @@ def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, fr
 def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(tmp_path, domain,
                                                                                friction):
     run = scene.load(SCENE)
-    with Wheels(SCENE, domain, *LOCKSTEP, '-p', 'history:=0.1', '-p', 'max_future:=0.05',
-                '-p', 'rw_x.max_speed:=2.0', '-p', f'rw_skewed.friction:={friction}') as live:
+    with Wheels(SCENE, domain, *LOCKSTEP, *options(
+            'history:=0.1 max_future:=0.05 rw_x.max_speed:=2.0 '
+            f'rw_skewed.friction:={friction}')) as live:
         # Only the controller of the wheels sends commands.
         live.disconnect()
         first, *others = run.named_wheels
@@ -206,7 +186,7 @@ def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(t
                      encoded(stamp_ns, '', ['rw_x', 'rw_y'], effort=[0.001, NAN]),
                      encoded(stamp_ns, '', []), messages.epoch_marker(State(stamp_ns), COMMANDS),
                      COMMANDS.encode(stamp_ns, '', [1e300, 0.0, 0.0, 0.0])):
-            live.send(data)
+            live._motors.publish(data)
         counts = live.counts(48)
         assert counts['applied'] == 41
         assert {name.removeprefix('rejected: '): count for name, count in counts.items()
@@ -214,8 +194,7 @@ def test_a_loop_of_wheels_alone_is_answered_in_lockstep_and_stops_at_max_speed(t
                     'malformed': 5, 'too large': 1, 'unknown frame': 1}
         assert ('command on wheel_command rejected (1 so far): malformed: name: expected some of '
                 "'rw_x', 'rw_y', 'rw_z', 'rw_skewed', found 'rw_w'") in live.words()
-        _, result = checked(tmp_path, live)
-    assert len(result.stamps_ns) == 40
+        assert len(checked(tmp_path, live).verified.stamps_ns) == 40
 
 
 def test_epochs_and_checkpoints_keep_the_speeds_of_the_wheels_and_a_reset_does_not(tmp_path,
@@ -243,8 +222,7 @@ def test_epochs_and_checkpoints_keep_the_speeds_of_the_wheels_and_a_reset_does_n
         live.set_state(State(SECOND + 40 * STEP_NS + 5, (0.0, 0.6, 0.0, 0.8)))
         before, _ = ask(41)
         ask(42)
-        _, result = checked(tmp_path, live)
-    assert result.epochs == 4
+        assert checked(tmp_path, live).verified.epochs == 4
     starts = [messages.epoch_start(one.stamp_ns, one.frame_id) for one in (
         COMMANDS.decode(data) for data in live.received[ACCEPTED])
         if messages.is_epoch_marker(one.frame_id)]
@@ -263,19 +241,20 @@ def test_epochs_and_checkpoints_keep_the_speeds_of_the_wheels_and_a_reset_does_n
 @pytest.mark.nightly
 def test_a_jump_of_the_clock_keeps_speeds_and_efforts(tmp_path, domain):
     start_ns, later_ns = 100 * SECOND, 500 * SECOND
-    with Wheels(SCENE, domain, *SOURCES, '-p', 'use_sim_time:=true', '-p', 'history:=2.0',
-                '-p', 'on_time_jump:=rebase', '-p', f'start_time:={start_ns}') as live:
-        run_clock(live, start_ns, until=lambda: live.received[COMMITTED])
+    with Wheels(SCENE, domain, *SOURCES, *options(
+            'use_sim_time:=true history:=2.0 on_time_jump:=rebase '
+            f'start_time:={start_ns}')) as live:
+        start_clock(live, start_ns)
         live.turn(start_ns, [0.003, NAN, NAN, -0.002])
-        run_clock(live, start_ns, until=live.commands)
-        run_clock(live, start_ns, seconds=2)
+        hold_clock(live, start_ns, live.commands, 'the command')
+        run_clock(live, start_ns, start_ns + 2 * SECOND)
         # The command comes into force after the jump, together with those from before.
-        run_clock(live, later_ns, until=lambda: len(live.received[COMMITTED]) > 2)
+        hold_clock(live, later_ns, lambda: len(live.commands()) == 2, 'a new epoch')
         live.turn(later_ns + 1, [NAN, 0.001, NAN, NAN])
-        run_clock(live, later_ns, seconds=2)
+        run_clock(live, later_ns, later_ns + 2 * SECOND)
         live.wait_until(lambda: len(live.commands()) == 3, 'the commands of both epochs')
-        problem, result = checked(tmp_path, live)
-    assert result.epochs == 2
+        run = checked(tmp_path, live)
+    assert run.verified.epochs == 2
     found = live.states()
     before, after = (found[max(t for t in found if t < 200 * SECOND)],
                      found[min(t for t in found if t >= later_ns)])
@@ -285,7 +264,7 @@ def test_a_jump_of_the_clock_keeps_speeds_and_efforts(tmp_path, domain):
     assert after[1].tolist() == [0.003, 0.0, 0.0, -0.002]
     assert found[max(found)][1].tolist() == [0.003, 0.001, 0.0, -0.002]
     np.testing.assert_array_equal(
-        problem.propagate(at=[max(found)]).wheel_speeds[0], found[max(found)][0])
+        run.problem.propagate(at=[max(found)]).wheel_speeds[0], found[max(found)][0])
 
 
 def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
@@ -308,10 +287,6 @@ def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
     np.testing.assert_array_equal(written.values[:, 5:], motion.wheel_efforts)
     attitude = recording.read(out, '/attitude', messages.QUATERNION)
     np.testing.assert_array_equal(attitude.values, motion.attitude)
-    replay(path, run, out.with_suffix('.csv'))
-    wheels = np.loadtxt(out.with_suffix('.csv'), delimiter=',', skiprows=1)[:, 14:]
-    np.testing.assert_array_equal(wheels[:, ::2], motion.wheel_speeds)
-    np.testing.assert_array_equal(wheels[:, 1::2], motion.wheel_efforts)
     drift = float(result.check.finding.rpartition(' ')[2])
     assert drift < 1e-14
 
@@ -407,24 +382,22 @@ def test_compare_and_identify_know_the_wheels(tmp_path, flight, capsys):
 
 @pytest.mark.slow
 def test_an_ensemble_knows_the_commands_of_wheels(tmp_path, flight, monkeypatch):
-    given, end_ns = read(flight, SCENE), SECOND + 299 * STEP_NS
-    rows = Ensemble(given, end_ns, (Dispersion('inertia.ixx', 'normal', (0.001,)),
-                                    Dispersion('clock_offset', 'normal', (0.01,))), 1).rows(0, 8)
-    entries = given.body.entries + np.append(rows['inertia.ixx'][7] - given.body.entries[0],
-                                             np.zeros(5))
-    log = EffortLog(given.efforts.times_ns + round(rows['clock_offset'][7] * SECOND),
-                    given.efforts.efforts)
-    state = given.replaced(body=given.body.with_entries(entries), efforts=log).propagate(
-        at=[end_ns])
-    assert [rows[f'attitude.{axis}'][7] for axis in 'xyzw'] == state.attitude[0].tolist()
     monkeypatch.setattr('rigid_body_ros.commands.ensemble._draw', lambda *given: None)
     vary, out = tmp_path / 'vary.yaml', tmp_path / 'out'
     vary.write_text('inertia.ixx: {normal: 0.001}\nclock_offset: {normal: 0.01}\n')
     assert main.attitude_ensemble([
         '--recording', str(flight), '--scene', str(SCENE), '--vary', str(vary), '--runs', '8',
         '--seed', '1', '--workers', '1', '-o', str(out)]) == 0
-    table = parquet.read_table(out / 'runs.parquet')
-    assert table['attitude.x'].to_pylist() == rows['attitude.x'].tolist()
+    rows = parquet.read_table(out / 'runs.parquet').to_pylist()
+    assert len(rows) == 8
+    given = read(flight, SCENE)
+    for row in rows:
+        entries = np.array([row['inertia.ixx'], *given.body.entries[1:]])
+        log = EffortLog(given.efforts.times_ns + round(row['clock_offset'] * SECOND),
+                        given.efforts.efforts)
+        motion = given.replaced(body=given.body.with_entries(entries), efforts=log).propagate(
+            at=[SECOND + 299 * STEP_NS])
+        assert [row[f'attitude.{axis}'] for axis in 'xyzw'] == motion.attitude[0].tolist()
 
 
 @pytest.mark.nightly
