@@ -20,15 +20,14 @@ import subprocess
 
 from conftest import program, SECOND
 from diagnostic_msgs.msg import DiagnosticStatus
-from live import decoded, finished, replayed, Session, TUMBLER
+from live import decoded, EVERYTHING, finished, options, same_bits, Session, TUMBLER, tumbler
 from live_session import ATTITUDE, COMMITTED, LiveSession
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
-from rigid_body_ros import messages, propagate, scene, State, TorqueLog
+from rigid_body_ros import messages, scene, State
 from rigid_body_ros.live.run import Run
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.node import AttitudeNode
@@ -38,19 +37,18 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 pytestmark = pytest.mark.ros
-LOCKSTEP = ('-p', 'mode:=lockstep', '-p', 'step:=0.02')
+LOCKSTEP = options('mode:=lockstep step:=0.02')
 STEP_NS = SECOND // 50
 #: A slew of 170 degrees about an axis that is not a principal axis.
 SLEW = so3.exp(np.radians(170.0) * np.array([2.0, -1.0, 2.0]) / 3.0)
 SLEW_SECONDS = 30.0
 #: Parameters for lockstep with a step of 0.04 s.
-SLOWLY = ('-p', 'mode:=lockstep', '-p', 'step:=0.04')
+SLOWLY = options('mode:=lockstep step:=0.04')
 
 
 def start_at(attitude):
-    names = [f'initial_attitude.{name}' for name in 'xyzw']
-    return [word for name, value in zip(names, attitude.tolist())
-            for word in ('-p', f'{name}:={value!r}')]
+    return options(' '.join(f'initial_attitude.{name}:={value!r}'
+                            for name, value in zip('xyzw', attitude.tolist())))
 
 
 def controller(live, *arguments):
@@ -106,8 +104,7 @@ def test_a_closed_loop_settles_and_gives_the_same_bits_though_messages_are_lost(
 
 
 def responses(live):
-    return [(message.stamp_ns, message.values.tolist())
-            for message in decoded(live, ATTITUDE, messages.QUATERNION)]
+    return [(message.stamp_ns, message.values.tolist()) for message in decoded(live, ATTITUDE)]
 
 
 def ask(live, stamp_ns, torque):
@@ -120,26 +117,24 @@ def ask(live, stamp_ns, torque):
 
 
 def test_the_response_to_each_torque_is_the_state_one_step_later(domain):
-    run = scene.load(TUMBLER)
+    start_ns = 5 * SECOND
     with Session(TUMBLER, domain, *LOCKSTEP) as live:
-        start_ns = 5 * SECOND
         first = ask(live, start_ns, [0.01, 0.0, 0.0])
         second = ask(live, start_ns + STEP_NS, [0.0, 0.02, 0.0])
         count = len(responses(live))
         again = ask(live, start_ns + STEP_NS, [0.0, 0.02, 0.0])
         live.spin(0.2)
         assert len(responses(live)) == count + 1  # no repetition after the first torque
-    start = State(start_ns, run.start.attitude, run.start.angular_velocity)
-    log = TorqueLog([start_ns, start_ns + STEP_NS], [[0.01, 0.0, 0.0], [0.0, 0.02, 0.0]])
     at = [start_ns + STEP_NS, start_ns + 2 * STEP_NS]
-    expected = propagate(run.body, start, log, at=at).attitude.tolist()
+    expected = tumbler([start_ns, at[0]], [[0.01, 0.0, 0.0], [0.0, 0.02, 0.0]]).propagate(
+        at=at).attitude.tolist()
     assert [first, second] == [*zip(at, expected)]
     assert again == second
 
 
 def test_a_reset_begins_the_same_run_again(tmp_path, domain):
-    with Session(TUMBLER, domain, *LOCKSTEP, '-p', 'history:=0.1',
-                     '-p', 'max_future:=0.01') as live:
+    with Session(TUMBLER, domain, *LOCKSTEP, *options(
+            'history:=0.1 max_future:=0.01')) as live:
         runs = []
         for _ in range(2):
             runs.append([ask(live, 3 * SECOND + k * STEP_NS, [0.01, 1e-3 * k, 0.0])
@@ -149,8 +144,7 @@ def test_a_reset_begins_the_same_run_again(tmp_path, domain):
             live.received[ATTITUDE].clear()
         assert runs[0] == runs[1]
         live.stop()
-        run = replayed(tmp_path, live)
-    np.testing.assert_array_equal(run.committed, run.replay)
+        run = same_bits(tmp_path, live)
     assert len(run.stamps_ns) == 20  # the start, and the stamps after it, of the second run
     assert len(live.torques) == 2 * 20
     assert len(live.received[COMMITTED]) == 2 * 20
@@ -179,9 +173,8 @@ def test_a_pause_delays_the_responses_and_changes_no_bit(tmp_path, domain):
 def test_the_result_of_an_initial_state_is_published(domain):
     with Session(TUMBLER, domain, *LOCKSTEP) as live:
         results = []
-        live.node.create_subscription(
-            DiagnosticStatus, '/attitude_node/initial_state_result', results.append,
-            QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        live.node.create_subscription(DiagnosticStatus, '/attitude_node/initial_state_result',
+                                      results.append, EVERYTHING)
         ask(live, 10 * SECOND, [0.01, 0.0, 0.0])
         for time_ns, rate in ((10 * SECOND + 7, 0.1), (SECOND, 0.1), (0, 0.1), (5, 2e9)):
             live.set_state(State(time_ns, (0, 0, 0, 1), (rate, 0.0, 0.0)))

@@ -18,27 +18,31 @@ import signal
 import time
 
 from conftest import at_night, RECORDINGS, SECOND
-from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
+from geometry_msgs.msg import WrenchStamped
 from live import (
     check_late_torques,
     decoded,
+    EVERYTHING,
     finished,
     get_parameters,
+    hold_clock,
+    options,
     PATIENT,
     run_clock,
     Session,
     set_parameter,
+    stamps_of,
+    start_clock,
     TUMBLER,
+    tumbler,
 )
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
-from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rcl_interfaces.srv import DescribeParameters
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State, TorqueLog
+from rigid_body_ros import messages, recording, RigidBody, scene
 from rigid_body_ros.mechanics import euler
 from rigid_body_ros.node import AttitudeNode
 from rigid_body_ros.replay.verify import verify
@@ -58,30 +62,27 @@ def test_what_is_published_between_stamps_is_the_motion_at_those_times(domain):
     torques = recording.read(RECORDINGS / 'tumbler.mcap')
     start_ns, count = int(torques.stamps_ns[0]), 501
     # The clock waits until every torque has arrived, so that no prediction lacks one.
-    with Session(TUMBLER, domain, *RELIABLE, '-p', 'use_sim_time:=true',
-                 '-p', f'start_time:={start_ns}', '-p', 'max_future:=11.0',
-                 '-p', 'history:=12.0') as live:
-        run_clock(live, start_ns, until=lambda: live.received[COMMITTED])
-        for row in range(count):
-            live.publish(int(torques.stamps_ns[row]), 'base_link', torques.values[row, 3:])
-        run_clock(live, start_ns, until=lambda: len(live.torques) == count)
-        run_clock(live, start_ns, seconds=4)
-    scene_ = scene.load(TUMBLER)
-    start = State(start_ns, scene_.start.attitude, scene_.start.angular_velocity)
-    log = TorqueLog(torques.stamps_ns[:count], torques.values[:count, 3:])
-    published = decoded(live, ATTITUDE, messages.QUATERNION)
-    motion = propagate(scene_.body, start, log, at=[message.stamp_ns for message in published])
+    with Session(TUMBLER, domain, *RELIABLE, *options(
+            f'use_sim_time:=true start_time:={start_ns} max_future:=11.0 history:=12.0')) as live:
+        start_clock(live, start_ns)
+        for stamp_ns, values in zip(torques.stamps_ns[:count].tolist(), torques.values):
+            live.publish(stamp_ns, 'base_link', values[3:])
+        hold_clock(live, start_ns, lambda: len(live.torques) == count, 'all torques')
+        run_clock(live, start_ns, start_ns + 4 * SECOND)
+    published = decoded(live, ATTITUDE)
+    motion = tumbler(torques.stamps_ns[:count], torques.values[:count, 3:], start_ns).propagate(
+        at=stamps_of(live, ATTITUDE))
     assert len(published) > 100
     assert {message.frame_id for message in published} == {'world'}
     np.testing.assert_array_equal([message.values for message in published], motion.attitude)
 
 
 def test_parameters_have_descriptions_and_keep_the_scene(domain):
-    with Session(TUMBLER, domain, '-p', 'initial_attitude.w:=-1', '-p', 'tolerance:=1e-9', '-p',
-                 'initial_angular_velocity.y:=2', '-p',
-                 'qos_overrides./attitude.publisher.depth:=3') as live:
+    with Session(TUMBLER, domain, *options(
+            'initial_attitude.w:=-1 tolerance:=1e-9 initial_angular_velocity.y:=2 '
+            'qos_overrides./attitude.publisher.depth:=3')) as live:
         # Integers and plain exponents are numbers.
-        first = decoded(live, COMMITTED, messages.ODOMETRY)[0].values
+        first = decoded(live, COMMITTED)[0].values
         assert first[messages.ORIENTATION].tolist() == [0.0, 0.0, 0.0, -1.0]
         assert first[messages.ANGULAR_VELOCITY].tolist() == [0.15, 2.0, -0.10]
         # An override of one topic leaves the others alone.
@@ -126,11 +127,12 @@ def test_parameters_have_descriptions_and_keep_the_scene(domain):
 def test_the_rate_may_change_while_running(domain):
     start_ns = 100 * SECOND
     with Session(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
-        run_clock(live, start_ns, seconds=2)
+        start_clock(live, start_ns)
+        run_clock(live, start_ns, start_ns + 2 * SECOND)
         assert set_parameter(live, 'publish_rate', 10).successful
         changed = len(live.received[ATTITUDE])
-        run_clock(live, start_ns + 2 * SECOND, seconds=5)
-    stamps = [message.stamp_ns for message in decoded(live, ATTITUDE, messages.QUATERNION)]
+        run_clock(live, start_ns + 2 * SECOND, start_ns + 7 * SECOND)
+    stamps = stamps_of(live, ATTITUDE)
     # Periods follow the simulated clock, which moves in steps of 10 ms.
     assert np.median(np.diff(stamps[:changed])) == SECOND // 100
     assert np.median(np.diff(stamps[changed + 1:])) == SECOND // 10
@@ -138,7 +140,7 @@ def test_the_rate_may_change_while_running(domain):
 
 def test_equal_stamps_and_torques_from_before_the_start(tmp_path, domain):
     with Session(TUMBLER, domain, *RELIABLE, '-p', 'history:=30.0') as live:
-        start_ns = decoded(live, COMMITTED, messages.ODOMETRY)[0].stamp_ns
+        start_ns = stamps_of(live, COMMITTED)[0]
         later_ns = start_ns + SECOND // 10
         for stamp_ns, torque in ((start_ns - SECOND, 0.03), (start_ns - 2 * SECOND, 0.09),
                                  (start_ns, 0.01), (later_ns, 0.05), (later_ns, 0.02)):
@@ -150,18 +152,15 @@ def test_equal_stamps_and_torques_from_before_the_start(tmp_path, domain):
 
 
 def test_all_outputs_of_one_instant_have_its_stamp_and_one_attitude(domain):
-    kinds = {'attitude': (QuaternionStamped, messages.QUATERNION),
-             'euler_angles': (Vector3Stamped, messages.VECTOR3),
-             'angular_velocity': (Vector3Stamped, messages.VECTOR3),
-             'imu/data': (Imu, messages.IMU), 'odometry': (Odometry, messages.ODOMETRY)}
+    kinds = {'attitude': messages.QUATERNION, 'euler_angles': messages.VECTOR3,
+             'angular_velocity': messages.VECTOR3, 'imu/data': messages.IMU,
+             'odometry': messages.ODOMETRY}
     with Session(TUMBLER, domain, '-p', 'euler_sequence:=zyx') as live:
-        received = {topic: {} for topic in kinds}
-        for topic, (kind, code) in kinds.items():
-            def hear(data, topic=topic, code=code):
-                message = code.decode(data)
-                received[topic][message.stamp_ns] = message
-            live.node.create_subscription(kind, topic, hear, 1000, raw=True)
-        live.wait_until(lambda: all(len(messages) > 30 for messages in received.values()), 'all')
+        for topic, kind in kinds.items():
+            live.record(topic, kind, 1000)
+        live.wait_until(lambda: all(len(live.received[topic]) > 30 for topic in kinds), 'all')
+    received = {topic: {message.stamp_ns: message for message in decoded(live, topic)}
+                for topic in kinds}
     stamps = set.intersection(*(set(messages) for messages in received.values()))
     assert len(stamps) > 20
     for stamp_ns in stamps:
@@ -221,8 +220,8 @@ def test_wrenches_of_links_act_live_as_in_a_replay(tmp_path, domain):
 
 def test_the_nodes_of_a_fleet_differ_in_diagnostics_and_frames(tmp_path, domain):
     frames = {}
-    with Session(TUMBLER, domain, *RELIABLE, '-p', 'history:=60.0',
-                 '-p', 'frame_prefix:=one/') as live:
+    with Session(TUMBLER, domain, *RELIABLE, *options(
+            'history:=60.0 frame_prefix:=one/')) as live:
         two = AttitudeNode('second', context=live.node.context, namespace='two',
                            parameter_overrides=[Parameter('frame_prefix', value='two/')])
         assert two.resolve_topic_name('torque') == '/two/torque'
@@ -245,7 +244,7 @@ def test_the_nodes_of_a_fleet_differ_in_diagnostics_and_frames(tmp_path, domain)
         live.wait_until(lambda: live.diagnosis('torques')[0]['received'] == 6, 'all torques')
         counts, _, _ = live.diagnosis('torques')
         assert counts['rejected: unknown frame'] == 3
-        assert [torque.frame_id for torque in decoded(live, ACCEPTED, messages.WRENCH)] == [
+        assert [torque.frame_id for torque in decoded(live, ACCEPTED)] == [
             'one/base_link', 'one/base_link', 'world']
         prefix, = get_parameters(live, 'frame_prefix')
         assert prefix.string_value == 'one/'
@@ -278,8 +277,7 @@ def test_a_recorder_that_starts_later_gets_the_log_from_its_marker_on(domain):
             live.publish(stamp_ns, '', [1e-3, 0.0, 0.0])
         live.wait_until(lambda: len(live.torques) == 40, 'all torques')
         live.node.create_subscription(
-            WrenchStamped, ACCEPTED, received.append,
-            QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL), raw=True)
+            WrenchStamped, ACCEPTED, received.append, EVERYTHING, raw=True)
         live.wait_until(lambda: len(received) == 41, 'the log')
         live.publish(sent[-1], '', [1e-3, 0.0, 0.0])
         live.wait_until(lambda: len(received) == 42, 'the next torque')
