@@ -18,10 +18,9 @@ from contextlib import suppress
 import json
 import math
 import os
-import subprocess
 import sys
 
-from conftest import EPOCH_NS, program, running, SECOND
+from conftest import EPOCH_NS, running, SECOND
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -91,27 +90,22 @@ def tick():
     publisher.publish(answer)
 node.create_timer(0.004, tick)
 {SPIN}"""
-#: A node that publishes without end, and one whose outputs are random.
+#: Nodes that answer each torque: at random, with another type than recorded, and until they die.
+RANDOM, OTHER, DIES = (f"""{NODE}
+import os, random
+def draw(given, answer):
+    answer.vector.x = random.random()
+def die(given, answer):
+    given.header.stamp.nanosec < 500_000_000 or os._exit(3)
+on(WrenchStamped, {function}, '/momentum', {kind})
+{SPIN}""" for function, kind in (('draw', 'Vector3Stamped'), ('lambda *_: None', 'WrenchStamped'),
+                                ('die', 'Vector3Stamped')))
+#: A node that publishes without end.
 FLOOD = f"""{NODE}
 publisher = node.create_publisher(Vector3Stamped, '/momentum', 10)
 node.create_subscription(WrenchStamped, '/torque', lambda message: None, 10)
 node.create_timer(float(sys.argv[2]), lambda: [
     publisher.publish(Vector3Stamped()) for _ in range(1000)])
-{SPIN}"""
-RANDOM = f"""{NODE}
-import random
-def draw(given, answer):
-    answer.vector.x = random.random()
-on(WrenchStamped, draw, '/momentum', Vector3Stamped)
-{SPIN}"""
-#: A node that publishes other types than those recorded, and one that answers no more.
-OTHER = f"""{NODE}
-on(WrenchStamped, lambda given, answer: None, '/momentum', WrenchStamped)
-{SPIN}"""
-DIES = f"""{NODE}
-import os
-on(WrenchStamped, lambda given, answer: answer.header.stamp.nanosec < 500_000_000 or os._exit(3),
-   '/momentum', Vector3Stamped)
 {SPIN}"""
 #: An argument that no other command on this machine uses.
 MARK = f'98764.{os.getpid()}'
@@ -331,19 +325,3 @@ def test_fields_are_those_of_arrays_too():
     assert fields['header.stamp.sec'] == 5
     assert fields['pose.pose.orientation.w'] == 6.0
     assert type(fields['pose.covariance[35]']) is float
-
-
-@pytest.mark.nightly
-def test_ten_runs_side_by_side_do_not_disturb_each_other(path, tmp_path):
-    processes = []
-    for number in range(10):
-        gain = math.nextafter(GAIN, 1.0) if number % 2 else GAIN
-        processes.append(subprocess.Popen(
-            [*program('attitude_regress'), str(path), '--open-loop', '--timeout', '300', '--json',
-             str(tmp_path / f'{number}.json'), '--', *command(ESTIMATOR, gain)],
-            stdout=subprocess.DEVNULL))
-    assert [process.wait() for process in processes] == [0, 1] * 5
-    same, other = ({(tmp_path / f'{number}.json').read_text() for number in range(first, 10, 2)}
-                   for first in (0, 1))
-    assert len(same) == len(other) == 1
-    assert not running(MARK)

@@ -73,19 +73,6 @@ def test_a_pip_install_has_what_ros_and_type_checkers_look_for(installed):
     assert f'\n{version} (' in (ROOT / 'CHANGELOG.rst').read_text()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('command', ['attitude_node', *at_night(*NODES[:-1], *OFFLINE)])
-def test_a_command_of_a_pip_install_runs(installed, command):
-    packages, = installed.glob('lib/python*/site-packages')
-    environment = {**os.environ, 'PYTHONPATH': str(packages),
-                   'PATH': os.path.dirname(sys.executable) + os.pathsep + os.environ['PATH']}
-    if command in NODES:
-        pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-    result = subprocess.run([installed / 'lib' / NAME / command, '--help'], env=environment,
-                            cwd='/', check=True, capture_output=True, text=True)
-    assert f'usage: {command}' in result.stdout
-
-
 def built(folder, *options):
     """Build the files of this checkout in a workspace, and return its folder."""
     source = folder / 'src' / NAME
