@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-Write the motions of `test/conformance`: inputs, and the truth with 30 digits.
+Write the truth of the motions of `test/conformance` with 30 digits.
 
     python benchmarks/make_conformance.py [MOTION ...]
 
 `test/conformance/README.md` describes the files. The truth comes from `test/truth.py`, which
-shares no code with the package; only `rounding` comes from the package itself.
+shares no code with the package; only `rounding` comes from the package itself. To add a motion,
+write a file with its `about` and `inputs`.
 """
 
 from itertools import pairwise
@@ -37,59 +38,7 @@ sys.path.insert(0, str(TESTS))
 import truth  # noqa: E402, I100
 
 FOLDER = TESTS / 'conformance' / 'motions'
-SECOND = 10 ** 9
 DIGITS, OUTPUTS = 30, 10
-
-
-def motion(about, inertia, rates, seconds, torques=(), frame='body', **others):
-    """Return the inputs of a motion; each torque is held until the next one."""
-    xx, yy, zz, *products = inertia
-    return {'about': about, 'inertia_xx_yy_zz_xy_xz_yz': [xx, yy, zz, *(products or [0.0] * 3)],
-            'attitude_xyzw': [0.0, 0.0, 0.0, 1.0], 'angular_velocity': list(rates),
-            'end_ns': seconds * SECOND, 'torque_frame': frame,
-            'torques_t_ns_x_y_z': [*torques], **others}
-
-
-def commands(seed, count, period_ns, size):
-    """Return torques with short numbers, one a period."""
-    rows = np.round(np.random.default_rng(seed).normal(size=(count, 3)) * 64.0) / 64.0 * size
-    return [[k * period_ns, *row] for k, row in enumerate(rows.tolist())]
-
-
-FULL = (2.0, 3.0, 4.0, 0.125, -0.25, 0.0625)
-MOTIONS = {
-    'free_asymmetric': motion('no torque', (1.0, 2.0, 3.0), (1.0, 0.4, 2.0), 100),
-    'free_flips': motion('no torque, about the intermediate axis: the body flips',
-                         (1.0, 2.0, 3.0), (0.01, 1.0, 0.02), 100),
-    'free_full_tensor': motion('no torque, axes that are not principal', FULL, (0.5, -1.0, 0.75),
-                               60),
-    'symmetric_top': motion('no torque, two equal moments', (2.0, 2.0, 1.0), (0.3, 0.1, 5.0), 60),
-    'sphere': motion('no torque, three equal moments', (0.7, 0.7, 0.7), (1.0, -2.0, 0.5), 60),
-    'thin_rod': motion('no torque, moments 1e-6 : 1 : 1.0000005', (1e-6, 1.0, 1.0000005),
-                       (50.0, 1.0, 1.0), 10),
-    'nearly_a_sphere': motion('no torque, moments 1e-9 apart',
-                              (1.0, 1.0 + 1e-9, 1.0 + 2e-9), (1.0, 0.4, 2.0), 60),
-    'constant_torque': motion('a constant torque in body axes', (1.0, 2.0, 3.0),
-                              (0.1, 0.2, -0.1), 60, [[0, 0.02, -0.01, 0.03]]),
-    'spin_up_from_rest': motion('a constant torque on a body at rest', FULL, (0.0, 0.0, 0.0), 30,
-                                [[0, 0.25, 0.5, -0.125]]),
-    'held_at_10_hz': motion('torques in body axes, each held for 0.1 s', FULL, (0.3, -0.2, 0.5),
-                            20, commands(1, 200, SECOND // 10, 1.0)),
-    'held_in_space': motion('torques in space axes, each held for 0.5 s', FULL, (0.3, -0.2, 0.5),
-                            20, commands(2, 40, SECOND // 2, 1.0), 'space'),
-    'damped': motion('viscous damping', FULL, (2.0, -1.0, 3.0), 30,
-                     damping_xx_yy_zz_xy_xz_yz=[0.125, 0.25, 0.0625, 0.03125, 0.0, -0.03125]),
-    'momentum_wheel': motion('a rotor of constant momentum', (1.0, 2.0, 3.0), (0.1, 0.2, 0.3), 60,
-                             rotor_momentum=[0.5, -0.25, 2.0]),
-    'hanging_top': motion('weight times lever arm, fixed in the body, in a uniform field',
-                          (2.0, 2.5, 1.0), (0.1, 0.2, 6.0), 20,
-                          uniform_field={'moment_body': [0.0, 0.0, 0.25],
-                                         'field_space': [0.0, 0.0, -9.81]}),
-    'gravity_gradient': motion(
-        'a tenth of an orbit', (10.0, 8.0, 5.0), (0.02, 0.01, -0.005), 600,
-        orbit={'rate': 0.00113, 'position_space': [1.0, 0.0, 0.0],
-               'normal_space': [0.0, 0.0, 1.0]}),
-}
 
 
 def true_rows(values):
@@ -143,20 +92,20 @@ def hexadecimal(value):
 
 
 def main(names):
-    """Write the named motions, or all."""
-    FOLDER.mkdir(exist_ok=True)
-    for name, values in MOTIONS.items():
-        if names and name not in names:
+    """Complete the files of the named motions, or of all."""
+    for path in sorted(FOLDER.glob('*.json')):
+        if names and path.stem not in names:
             continue
-        inputs = {key: value for key, value in values.items() if key != 'about'}
-        rows = true_rows(values)
-        written = {'name': name, 'about': values['about'], 'inputs': inputs,
+        given = json.loads(path.read_text())
+        inputs = given['inputs']
+        rows = true_rows(inputs)
+        written = {'name': path.stem, 'about': given['about'], 'inputs': inputs,
                    'inputs_in_hexadecimal': hexadecimal(inputs),
                    'truth_t_ns_attitude_xyzw_angular_velocity': rows,
                    'truth_error': 10.0 ** (1 - DIGITS),
-                   'rounding': last_digit_effect(problem(values), [row[0] for row in rows])}
-        (FOLDER / f'{name}.json').write_text(json.dumps(written, indent=1) + '\n')
-        print(f"{name}: a last digit of the inputs turns it by {written['rounding']:.1e} rad",
+                   'rounding': last_digit_effect(problem(inputs), [row[0] for row in rows])}
+        path.write_text(json.dumps(written, indent=1) + '\n')
+        print(f"{path.stem}: a last digit of the inputs turns it by {written['rounding']:.1e} rad",
               flush=True)
 
 

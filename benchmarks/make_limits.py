@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Make test/truth_limits.json: motions with wheels that reach their largest speed, fifty digits.
+Compute the motions in test/truth_limits.json, whose wheels reach their largest speed: 50 digits.
 
     python benchmarks/make_limits.py [SCENE ...]
 
@@ -21,6 +21,10 @@ The equations are integrated by Taylor series that share no code with the packag
 would drive a wheel beyond its largest speed does not act while the wheel is faster, and acts only
 as far as it holds the speed while the wheel is at its largest speed. At an event, the efforts of
 the wheels at their largest speed are the only ones that satisfy these rules.
+
+In `grazing`, the largest speed is the double nearest to that of the first maximum without a limit.
+In `at_the_instant`, every number is a power of two, so the wheel reaches its limit exactly at two
+seconds. To add a scene, write its inputs into the file.
 """
 
 from itertools import product
@@ -40,53 +44,6 @@ ROUNDING = mp.mpf(10) ** -40
 FREE, OVER, HELD = 'free', 'over', 'held'
 
 exact = np.vectorize(mp.mpf, otypes=[object])
-
-
-def scenes(grazed):
-    """Return the scenes by name; `grazed` is the largest speed of the wheel that grazes it."""
-    body = [0.045, 0.12, 0.14, 0.002, -0.001, 0.003]
-    pyramid = [{'name': name, 'axis': axis, 'inertia': 0.002, 'initial_speed': speed,
-                'max_torque': 0.02, 'max_speed': 60.0} for name, axis, speed in (
-        ('a', [1, 1, 1], 10.0), ('b', [-1, 1, 1], -25.0), ('c', [-1, -1, 1], 40.0),
-        ('d', [1, -1, 1], 0.0))]
-    rng = np.random.default_rng(58)
-    slew = [[k * 2 * SECOND + int(rng.integers(0, SECOND)), *rng.uniform(-0.02, 0.02, 4).tolist()]
-            for k in range(10)]
-    rubbing = [{'name': 'rw1', 'axis': [1, 0, 0], 'inertia': 0.002, 'initial_speed': 50.0,
-                'friction': 1e-4, 'max_speed': 55.0},
-               {'name': 'rw2', 'axis': [0, 1, 1], 'inertia': 0.002, 'initial_speed': -30.0,
-                'friction': 2e-4, 'max_torque': 0.03, 'max_speed': 40.0},
-               {'name': 'rw3', 'axis': [0, 0, 1], 'inertia': 0.003, 'friction': 1e-4,
-                'max_torque': 0.04}]
-    rubbed = [[0, 0.02, -0.025, 0.01], [4 * SECOND, 0.0, -0.025, 0.02],
-              [7_123_456_789, -0.02, 0.03, -0.02], [15 * SECOND, 0.008, 0.012, 0.03]]
-    one = {'name': 'rw', 'axis': [0, 0, 1], 'inertia': 0.002}
-    return {
-        'one_wheel': scene(body, [0.1, 0.3, -0.2], [one | {'max_speed': 40.0}], [
-            [SECOND, 0.01], [15_500_000_001, -0.02], [18 * SECOND, 0.015]], 30 * SECOND),
-        'four_skewed': scene(body, [0.2, -0.1, 0.15], pyramid, slew, 22 * SECOND),
-        'friction': scene(body, [0.1, 0.3, -0.2], rubbing, rubbed, 20 * SECOND),
-        # The body tumbles under a torque, so the wheel reaches its limit with a small effort.
-        'by_the_body': scene(body, [0.5, 3.0, 0.4], [one | {
-            'inertia': 0.02, 'axis': [1, 0.5, 0], 'initial_speed': 1.0, 'max_speed': 2.5}],
-            [[0, 1e-3], [6 * SECOND, 2e-2], [11 * SECOND, 0.0], [12 * SECOND, 5e-3]],
-            18 * SECOND, [[0, 0.05, -0.02, 0.03], [5 * SECOND, -0.1, 0.0, 0.02]]),
-        # The largest speed is the double nearest to that of the first maximum without a limit.
-        'grazing': scene(body, [0.5, 3.0, 0.4], [one | {
-            'inertia': 0.02, 'axis': [1, 0.5, 0], 'initial_speed': 1.0,
-            'max_speed': grazed}], [[0, 1e-4]], 8 * SECOND),
-        # Everything is a power of two, so the wheel reaches its limit exactly at two seconds.
-        'at_the_instant': scene([2.0, 2.0, 2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [one | {
-            'inertia': 1.0, 'max_speed': 4.0}], [[0, 1.0], [2 * SECOND, 0.5], [3 * SECOND, -0.25],
-                                                 [4 * SECOND, 0.25]], 8 * SECOND,),
-    }
-
-
-def scene(inertia, rates, wheels, efforts, end_ns, torques=()):
-    """Return a scene: a body, its wheels and their commands, and a torque on the body."""
-    return {'inertia_ixx_iyy_izz_ixy_ixz_iyz': inertia, 'initial_attitude_xyzw': [0, 0, 0, 1],
-            'initial_angular_velocity': rates, 'wheels': wheels, 'efforts_t_ns_each': efforts,
-            'torque_t_ns_x_y_z': [*torques], 'end_ns': end_ns}
 
 
 class Motion:
@@ -115,13 +72,13 @@ class Motion:
         """Return the speeds of the wheels relative to the body, rad/s."""
         return self.momenta / self.inertia - self.axes @ self.w
 
-    def series(self, modes):
-        """Return the series of attitude, rates, momenta, and the efforts that act."""
-        held = [mode == HELD for mode in modes]
+    def series(self):
+        """Return the series of attitude, rates and momenta."""
+        held = [mode == HELD for mode in self.modes]
         body = self.carrier + sum((self.inertia[j] * np.multiply.outer(self.axes[j], self.axes[j])
                                    for j in np.flatnonzero(held)), np.zeros((3, 3), int))
         inverse = np.array((mp.matrix(body.tolist()) ** -1).tolist())
-        efforts = np.array([effort * (mode == FREE) for effort, mode in zip(self.efforts, modes)])
+        efforts = self.efforts * [mode == FREE for mode in self.modes]
         q, w, momenta, total = [self.q], [self.w], [self.momenta], []
         for k in range(ORDER):
             total.append(self.carrier @ w[k] + self.axes.T @ momenta[k])
@@ -137,9 +94,9 @@ class Motion:
             momenta.append(rates / (k + 1))
         return q, w, momenta
 
-    def conditions(self, j, mode, series):
+    def conditions(self, j, series):
         """Return polynomials that are positive while wheel j stays in its mode."""
-        sign = mp.sign(self.efforts[j])
+        sign, mode = mp.sign(self.efforts[j]), self.modes[j]
         if not (sign and self.most[j]):
             return []
         _, w, momenta = series
@@ -154,47 +111,44 @@ class Motion:
         left[0] += abs(self.efforts[j])
         return [effort, left]
 
-    def choose(self, near):
-        """Choose the modes of the wheels at their largest speed, so that all conditions hold."""
+    def choose(self, near, modes):
+        """Take modes, except for wheels near their largest speed: those whose conditions hold."""
+        before = self.modes
         for chosen in product((HELD, FREE, OVER), repeat=len(near)):
-            modes = list(self.modes)
+            self.modes = list(modes)
             for j, mode in zip(near, chosen):
-                modes[j] = mode
-            series = self.series(modes)
+                self.modes[j] = mode
+            series = self.series()
             if all(mp.polyval(c[::-1], mp.mpf(10) ** -9) > -ROUNDING
-                   for j in near for c in self.conditions(j, modes[j], series)):
-                self.modes = modes
+                   for j in near for c in self.conditions(j, series)):
+                self.events += [[mp.nstr(self.seconds * SECOND, 40), j, old, new]
+                                for j, (old, new) in enumerate(zip(before, self.modes))
+                                if old != new]
                 return
         raise ValueError(f'no modes at {self.seconds} s')
 
     def command(self, efforts):
         """Take new commands."""
-        before = self.modes
         limit = np.array([clip or mp.inf for clip in self.clip])
-        self.efforts = np.array([max(-most, min(most, effort))
-                                 for most, effort in zip(limit, exact(efforts))])
-        excess = [mp.sign(u) * speed - most
+        self.efforts = np.clip(exact(efforts), -limit, limit)
+        excess = [mp.sign(u) * speed - most if u and most else -mp.inf
                   for u, speed, most in zip(self.efforts, self.speeds, self.most)]
-        limited = [bool(u and most) for u, most in zip(self.efforts, self.most)]
-        self.modes = [OVER if acts and more > 0 else FREE for acts, more in zip(limited, excess)]
-        self.choose([j for j, more in enumerate(excess)
-                     if limited[j] and abs(more) < ROUNDING])
-        self.note(before)
+        self.choose([j for j, more in enumerate(excess) if abs(more) < ROUNDING],
+                    [OVER if more > 0 else FREE for more in excess])
 
-    def note(self, before):
-        """Note the wheels whose modes have changed."""
-        for j, (old, new) in enumerate(zip(before, self.modes)):
-            if old != new:
-                self.events.append([mp.nstr(self.seconds * SECOND, 40), j, old, new])
+    def choose_again(self, which=()):
+        """Choose the modes of some wheels, and of all that are held at their largest speed."""
+        held = [j for j, mode in enumerate(self.modes) if mode == HELD]
+        self.choose(sorted({*which, *held}), self.modes)
 
     def advance(self, end):
         """Continue the motion to a time, s."""
         while self.seconds < end:
-            series = self.series(self.modes)
+            series = self.series()
             step = min(end - self.seconds, _radius(series))
             first, which = step, None
-            for j, mode in enumerate(self.modes):
-                for condition in self.conditions(j, mode, series):
+            for j in range(len(self.modes)):
+                for condition in self.conditions(j, series):
                     root = _first_root(condition, step)
                     if root is not None and root < first:
                         first, which = root, j
@@ -202,10 +156,7 @@ class Motion:
                 sum(c * first ** k for k, c in enumerate(terms)) for terms in series)
             self.seconds = end if first == end - self.seconds else self.seconds + first
             if which is not None:
-                before = self.modes
-                self.choose(sorted({which, *(j for j, mode in enumerate(before)
-                                             if mode == HELD)}))
-                self.note(before)
+                self.choose_again([which])
 
 
 def _times(q, w):
@@ -255,9 +206,7 @@ def solved(values):
         if time_ns in efforts:
             motion.command(efforts[time_ns])
         elif time_ns in torques:
-            before = motion.modes
-            motion.choose([j for j, mode in enumerate(before) if mode == HELD])
-            motion.note(before)
+            motion.choose_again()
         if time_ns in outputs:
             rows.append([time_ns, *([mp.nstr(x, 30) for x in part] for part in (
                 motion.q, motion.w, motion.speeds))])
@@ -265,32 +214,14 @@ def solved(values):
             motion.events}
 
 
-def grazed_speed():
-    """Return the first largest speed of the wheel that grazes it, rounded to a double, rad/s."""
-    motion = Motion(scenes(0.0)['grazing'])
-    motion.efforts = exact(scenes(0.0)['grazing']['efforts_t_ns_each'][0][1:])
-    while True:
-        q, w, momenta = series = motion.series(motion.modes)
-        step = _radius(series)
-        slope = [(k + 1) * (momenta[k + 1][0] / motion.inertia[0] - motion.axes[0] @ w[k + 1])
-                 for k in range(ORDER)]
-        first = _first_root(slope, step) if slope[0] > 0 else None
-        motion.q, motion.w, motion.momenta = (
-            sum(c * (first or step) ** k for k, c in enumerate(terms))
-            for terms in (q, w, momenta))
-        if first is not None:
-            return float(motion.speeds[0])
-
-
 def main(names):
     """Write the file, with new results for the named scenes, or for all."""
-    found = json.loads(PATH.read_text()) if PATH.exists() else {}
+    found = json.loads(PATH.read_text())
     with mp.workdps(75):
-        for name, values in scenes(grazed_speed()).items():
-            if not names or name in names:
-                found[name] = values | solved(values)
-                print(name, *found[name]['events_t_ns_wheel_before_after'], sep='\n  ', flush=True)
-                PATH.write_text(json.dumps(found, indent=0) + '\n')
+        for name in names or found:
+            found[name] |= solved(found[name])
+            print(name, *found[name]['events_t_ns_wheel_before_after'], sep='\n  ', flush=True)
+            PATH.write_text(json.dumps(found, indent=0) + '\n')
 
 
 if __name__ == '__main__':
