@@ -15,9 +15,9 @@
 """
 Measure whether the intervals that `attitude_design` expects are those of simulated flights.
 
-Run `python benchmarks/design.py [--flights N] [--vehicle NAME]`. For each of five vehicles, it
-designs a maneuver, flies it N times in the simulator of `simulated.py`, which shares no code with
-the package, fits every flight with `identify`, and prints a line.
+Run `python benchmarks/design.py [--flights N]`. For each of five vehicles, it designs a maneuver,
+flies it N times in the simulator of `simulated.py`, which shares no code with the package, fits
+every flight with `identify`, and prints a line.
 """
 
 import argparse
@@ -115,11 +115,8 @@ def main():
     """Print a line for each vehicle."""
     parser = argparse.ArgumentParser()
     parser.add_argument('--flights', type=int, default=200)
-    parser.add_argument('--vehicle', choices=VEHICLES)
-    options = parser.parse_args()
+    flights = parser.parse_args().flights
     for name, vehicle in VEHICLES.items():
-        if options.vehicle not in (None, name):
-            continue
         begin, maneuvers = time.process_time(), maneuvers_of(vehicle)
         result = design(maneuvers, Question(vehicle.estimate, SENSORS, vehicle.priors))
         taken = time.process_time() - begin
@@ -127,7 +124,7 @@ def main():
         loads = maneuvers.loads(result.flown, 1000)
         with Pool(os.cpu_count()) as pool:
             found = pool.starmap(flown, [(name, result.flown, result.expected._replace(priors={}),
-                                          seed) for seed in range(options.flights)])
+                                          seed) for seed in range(flights)])
         values, widths = map(np.array, zip(*found))
         of_errors = result.expected.half_widths / (1.96 * np.sqrt(np.mean(values ** 2, axis=0)))
         of_fits = result.expected.half_widths / np.median(widths, axis=0)

@@ -15,7 +15,7 @@
 """
 Run the node for a long time at 1 kHz with valid and invalid torques, and account for each.
 
-    python benchmarks/soak.py [--seconds 600] [--json FILE]
+    python benchmarks/soak.py [--seconds 600]
 
 A driver sends torques over DDS in real time, with a fixed seed. They include invalid torques of
 every kind, repeated stamps, late torques, bursts, and every 10 s a pause of 100 ms followed by the
@@ -24,7 +24,6 @@ finally compares this with what it sent. For ten minutes, the replay takes 2 GB 
 """
 
 import argparse
-import json
 import math
 import os
 from pathlib import Path
@@ -215,9 +214,7 @@ def soak(seconds, domain):
 
     Returns
     -------
-    lines : list of Line
-    memory : list of (float, float)
-        Time, s, and memory of the node, MB.
+    list of Line
 
     """
     with TemporaryDirectory() as folder, \
@@ -235,7 +232,7 @@ def soak(seconds, domain):
         return [*counted(live, plan), *published(live, plan, Path(folder)),
                 Line('memory growth, MB', usage.growth(), GROWTH, True),
                 Line(PROCESSOR_TIME, processor / len(plan) * 1e6, PROCESSOR, True),
-                Line('exit status', status, 0)], usage.curve
+                Line('exit status', status, 0)]
 
 
 def unfinished(counts, sent):
@@ -299,15 +296,9 @@ def main():
     """Run the node, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--seconds', type=float, default=600.0)
-    parser.add_argument('--json', type=Path, help='write the figures, and the memory over time')
-    arguments = parser.parse_args()
+    seconds = parser.parse_args().seconds
     domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
-    lines, memory = soak(arguments.seconds, domain)
-    status = printed(lines)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(
-            {'lines': [line._asdict() for line in lines], 'memory': memory}, indent=1))
-    return status
+    return printed(soak(seconds, domain))
 
 
 if __name__ == '__main__':
