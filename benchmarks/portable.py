@@ -15,86 +15,65 @@
 """
 Propagate given motions and write every result, for `arm.py` to compare between machines.
 
-    python benchmarks/portable.py MOTIONS.json RESULTS.npz
+    python benchmarks/portable.py MOTIONS.pickle RESULTS.npz
 
 Bodies, starts, torques and times are read rather than drawn, because numpy draws and scales random
 numbers with functions whose last bit depends on the machine.
 """
 
 from collections.abc import Iterator
-import json
+import pickle
 import sys
 
 import bits
 import numpy as np
-from rigid_body_ros import GravityGradient, propagate, RigidBody, State, TorqueLog, UniformField
+from rigid_body_ros import GravityGradient, propagate, RigidBody, State, UniformField
 from rigid_body_ros.common.arrays import ENTRIES
 from rigid_body_ros.mechanics import euler, so3, urdf
 
-#: Which results of a motion to compute: those of `bits.groups`, or one for each solver it names.
-RANDOM, SCENE = 'random', 'scene'
+#: The attributes that are the arguments of a class.
+ARGUMENTS = {RigidBody: ['inertia'], State: ['time_ns', 'attitude', 'angular_velocity'],
+             UniformField: ['moment', 'field'],
+             GravityGradient: ['mean_motion', 'position', 'normal', 'time_ns']}
 #: Written in place of results if a solver rejects a motion.
 REJECTED = np.array([np.nan])
 _URDF = ('<robot name="robot"><link name="body"><inertial><origin rpy="0.3 -1.1 2.5"/>'
          '<mass value="2"/><inertia {}/></inertial></link></robot>')
 
 
-def plain(motion: bits.Motion, kind: str, number: int = 0, solvers: dict | None = None) -> dict:
+class Writer(pickle.Pickler):
+    """Writes the arguments of objects, so that another machine computes the rest itself."""
+
+    def reducer_override(self, value):
+        """Return the class and the arguments of an object, if it is one of ARGUMENTS."""
+        names = ARGUMENTS.get(type(value))
+        if names is None:
+            return NotImplemented
+        return type(value), tuple(getattr(value, name) for name in names)
+
+
+def groups(motion: bits.Motion, number: int | None,
+           solvers: dict[str, int]) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
     """
-    Return a motion as JSON types, without rounding.
+    Yield the name of each group of a motion's results, and its arrays.
 
     Parameters
     ----------
     motion : bits.Motion
         Body, start, torques, times, options and fields.
-    kind : str
-        RANDOM or SCENE.
-    number : int
+    number : int or None
         For a random motion, the seed of the order in which a Propagator is asked for states.
     solvers : dict
         For a scene, the last time, ns, that each solver computes, by name.
 
     """
-    body, start, log = motion.body, motion.start, motion.log
-    return {'kind': kind, 'number': number, 'solvers': solvers or {},
-            'inertia': body.inertia.tolist(), 'time_ns': start.time_ns,
-            'attitude': start.attitude.tolist(), 'rates': start.angular_velocity.tolist(),
-            'times_ns': log.times_ns.tolist(), 'torques': log.torques.tolist(),
-            'in_space': log.in_space.tolist(), 'interpolation': log.interpolation,
-            'at': motion.at.tolist(), 'options': motion.options, 'max_step': motion.max_step,
-            'fields': [plain_field(field) for field in motion.fields]}
-
-
-def plain_field(field: UniformField | GravityGradient) -> list:
-    """Return the arguments of a field."""
-    if isinstance(field, UniformField):
-        return [field.moment.tolist(), field.field.tolist()]
-    return [field.mean_motion, field.position.tolist(), field.normal.tolist(), field.time_ns]
-
-
-def motion_of(values: dict) -> bits.Motion:
-    """Return the motion that `plain` wrote."""
-    in_space = np.array(values['in_space'], bool)
-    torques = np.array(values['torques'], float).reshape(-1, 3)
-    return bits.Motion(
-        RigidBody(values['inertia']),
-        State(values['time_ns'], values['attitude'], values['rates']),
-        TorqueLog(values['times_ns'], torques, in_space, values['interpolation']),
-        np.array(values['at'], np.int64), values['options'], values['max_step'],
-        tuple(UniformField(*given) if len(given) == 2 else GravityGradient(*given)
-              for given in values['fields']))
-
-
-def groups(values: dict) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
-    """Yield the name of each group of a motion's results, and its arrays."""
-    motion = motion_of(values)
     yield 'bodies', described(motion)
     yield 'urdf, point masses', read_bodies(motion)
     yield 'so3', turned(motion)
-    if values['kind'] == RANDOM:
-        yield from bits.groups(motion, values['number'])
+    if number is not None:
+        yield from bits.groups(motion, number)
         yield 'euler functions', converted(motion)
-    for solver, last_ns in values['solvers'].items():
+    for solver, last_ns in solvers.items():
         yield f'scenes {solver}', scene(motion, solver, last_ns)
 
 
@@ -157,11 +136,11 @@ def scene(motion: bits.Motion, solver: str, last_ns: int) -> Iterator[np.ndarray
         yield trajectory.euler_angles(sequence, continuous=True)
 
 
-def results(motions: dict[str, dict]) -> dict[str, np.ndarray]:
+def results(motions: dict[str, tuple]) -> dict[str, np.ndarray]:
     """Return the results of all motions, each under the key 'group/name of the motion'."""
     found = {}
-    for name, values in motions.items():
-        for group, arrays in groups(values):
+    for name, arguments in motions.items():
+        for group, arrays in groups(*arguments):
             try:
                 rows = [np.asarray(array, float).ravel() for array in arrays]
             except ValueError:
@@ -173,8 +152,8 @@ def results(motions: dict[str, dict]) -> dict[str, np.ndarray]:
 def main() -> None:
     """Read motions, and write results."""
     source, target = sys.argv[1:]
-    with open(source, encoding='utf-8') as file:
-        motions = json.load(file)
+    with open(source, 'rb') as file:
+        motions = pickle.load(file)
     np.savez(target, **results(motions))
 
 
