@@ -105,8 +105,7 @@ setup(
                  'flake8-deprecated', 'flake8-docstrings', 'flake8-import-order', 'flake8-quotes',
                  'pydocstyle'],
         'docs': ['latex2mathml', 'myst-parser', 'sphinx', 'sphinx-rtd-theme'],
-        'bench': ['bsk', 'cyrk', 'drake', 'heyoka', 'mcap-ros2-support', 'mpmath', 'mujoco',
-                  'psutil'],
+        'bench': ['bsk', 'cyrk', 'drake', 'heyoka', 'mpmath', 'mujoco', 'psutil'],
     },
     zip_safe=False,
 )
