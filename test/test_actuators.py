@@ -19,6 +19,7 @@ import re
 import mpmath
 import numpy as np
 from numpy.testing import assert_array_equal
+from parts import BODY, START
 import pytest
 from rigid_body_ros import (
     Actuator,
@@ -29,7 +30,6 @@ from rigid_body_ros import (
     propagate,
     read,
     recording,
-    RigidBody,
     State,
     TorqueLog,
 )
@@ -42,8 +42,6 @@ from rigid_body_ros.tradeoff.problem import Case
 from terms import numbers
 
 SECOND = 10 ** 9
-BODY = RigidBody([[2.0, 0.1, -0.2], [0.1, 3.0, 0.05], [-0.2, 0.05, 4.0]])
-START = State(0, (0.1, -0.3, 0.2, 0.9), (0.3, 0.5, -0.2))
 
 
 SCENE = """

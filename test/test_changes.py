@@ -18,6 +18,7 @@ import re
 
 import numpy as np
 from numpy.testing import assert_array_equal
+from parts import BODY, SMALLER, START
 import pytest
 from rigid_body_ros import (
     BodyLog,
@@ -40,11 +41,7 @@ from terms import numbers
 import truth
 
 SECOND = 10 ** 9
-BODY = RigidBody([[2.0, 0.1, -0.2], [0.1, 3.0, 0.05], [-0.2, 0.05, 4.0]])
-SMALLER = RigidBody.from_moments(1.5, 2.2, 2.6, 0.05, -0.1)
 LARGER = RigidBody.from_moments(3.0, 3.2, 5.0, 0.2, -0.3, 0.1)
-DAMPED = RigidBody(LARGER.inertia, damping=np.diag([0.01, 0.02, 0.03]))
-START = State(0, (0.1, -0.3, 0.2, 0.9), (0.3, 0.5, -0.2))
 ROTORS = (0.2, -0.1, 0.4)
 
 

@@ -22,6 +22,7 @@ from conftest import chord, EPOCH_NS
 import fields
 from mpmath import mp
 import numpy as np
+from parts import BODY, FIELDS, START
 import pytest
 from rigid_body_ros import GravityGradient, Problem, RigidBody, State, UniformField
 from rigid_body_ros.mechanics import so3
@@ -30,12 +31,7 @@ from terms import SECOND
 from test_steppers import LADDERS
 import truth
 
-FULL = RigidBody([[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]])
-START = State(0, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
-WEIGHT = UniformField((0.1, -0.2, 0.3), (0.4, -0.2, -2.5))
-DIPOLE = UniformField((-0.3, 0.4, 0.1), (1.5, 0.5, 0.25))
-ORBIT = GravityGradient(0.4, (1.0, 2.0, 3.0), (3.0, 0.0, -1.0))
-FIELDS = [WEIGHT, ORBIT, DIPOLE]
+WEIGHT, ORBIT, DIPOLE = FIELDS
 
 
 # What is conserved
@@ -108,7 +104,7 @@ def assert_close(one, other):
     assert np.all(apart <= limits * speed)
 
 
-def under(given, solver='auto', body=FULL):
+def under(given, solver='auto', body=BODY):
     """Return the problem of a body under fields; a fixed-step solver takes steps of 0.1 s."""
     return Problem(body, START, fields=given, solver=solver,
                    max_step=0.1 if solver in LADDERS else None)
@@ -160,8 +156,8 @@ WEIGHTS = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105,
     ORBIT.mean_motion, ORBIT.position, ORBIT.normal, 0)], ids=['uniform', 'gradient'])
 def test_a_torque_is_the_slope_of_its_potential(given):
     at, attitude = np.full(9, SECOND), START.attitude
-    torque = given.torque(FULL, at[:1], attitude[None])[0]
-    slopes = [WEIGHTS @ given.potential_energy(FULL, at, so3.multiply(
+    torque = given.torque(BODY, at[:1], attitude[None])[0]
+    slopes = [WEIGHTS @ given.potential_energy(BODY, at, so3.multiply(
         attitude, so3.exp(0.01 * np.outer(np.arange(-4, 5), axis)))) / 0.01 for axis in np.eye(3)]
     assert np.linalg.norm(torque + slopes) < 1e-12 * np.linalg.norm(torque)
 
@@ -170,7 +166,7 @@ def test_a_torque_is_the_slope_of_its_potential(given):
                          ids=['uniform', 'gradient', 'all'])
 def test_the_momentum_changes_at_the_rate_of_the_torque(given):
     # Compare d(R J w)/dt with the torque that the problem returns.
-    problem = Problem(FULL, START, fields=given)
+    problem = Problem(BODY, START, fields=given)
     motion = problem.propagate(at=SECOND + SECOND // 100 * np.arange(-4, 5))
     rate = WEIGHTS @ motion.angular_momentum_space * 100
     torque = so3.rotate(motion.attitude[4], problem.torque(
@@ -189,7 +185,7 @@ def test_an_orbit_without_a_time_begins_with_the_motion(solver):
         start = State(shift, START.attitude, START.angular_velocity)
         for time_ns in (None, shift):
             orbit = GravityGradient(ORBIT.mean_motion, ORBIT.position, ORBIT.normal, time_ns)
-            problem = Problem(FULL, start, fields=[orbit], **options)
+            problem = Problem(BODY, start, fields=[orbit], **options)
             assert problem.fields[0].time_ns == shift
             bits.append(terms.numbers(problem.propagate(at=FINE + shift)))
     for other in bits[1:]:
@@ -206,8 +202,8 @@ def test_an_orbit_made_of_the_directions_of_another_is_the_same():
             np.testing.assert_array_equal(found, expected)
             assert abs(float(np.linalg.norm(found)) - 1.0) < 1e-15
         # `Problem` copies an orbit to give it a time.
-        without = Problem(FULL, START, fields=[GravityGradient(0.4, position, one.normal)])
-        assert without._fields.tobytes() == Problem(FULL, START, fields=[one])._fields.tobytes()
+        without = Problem(BODY, START, fields=[GravityGradient(0.4, position, one.normal)])
+        assert without._fields.tobytes() == Problem(BODY, START, fields=[one])._fields.tobytes()
 
 
 @pytest.mark.parametrize('time_ns', [-7 * SECOND, 7 * SECOND, 123_456_789])
@@ -256,11 +252,11 @@ def test_directions_after_many_turns_are_as_exact_as_before(rate, fifty_digits):
 
 
 def test_a_weight_above_the_pivot_falls():
-    problem = Problem(FULL, State(0), fields=[UniformField((0.0, 0.0, 2.0), (0.0, 0.0, -9.0))])
+    problem = Problem(BODY, State(0), fields=[UniformField((0.0, 0.0, 2.0), (0.0, 0.0, -9.0))])
     tilted = so3.exp([[0.1, 0.0, 0.0]])
     torque = problem.torque(np.array([0]), tilted)[0]
     np.testing.assert_allclose(torque, [18.0 * np.sin(0.1), 0.0, 0.0], rtol=1e-15, atol=1e-15)
-    energy = problem.fields[0].potential_energy(FULL, np.array([0]), tilted)
+    energy = problem.fields[0].potential_energy(BODY, np.array([0]), tilted)
     np.testing.assert_allclose(energy, [18.0 * np.cos(0.1)], rtol=1e-15)
 
 

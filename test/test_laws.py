@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 from conftest import at_night, chord, SECOND
 import numpy as np
+from parts import BODY, DAMPED, FIELDS, FREE, LIMITED, SLOWED, SMALLER
 import pytest
 from rigid_body_ros import (
     Actuator,
@@ -31,11 +32,9 @@ from rigid_body_ros import (
     EffortLog,
     GravityGradient,
     Problem,
-    RigidBody,
     State,
     TorqueLog,
     UniformField,
-    Wheel,
 )
 from rigid_body_ros.engine import layout
 from rigid_body_ros.mechanics import so3
@@ -46,19 +45,6 @@ BEGIN, END = 1_767_225_600_123_456_789, 1_767_225_603_123_456_789
 STAMPS = BEGIN + np.arange(-2, 23) * 130_000_000
 ROTORS = (0.2, 0.4, -0.3)
 START = State(BEGIN, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
-PLAIN = RigidBody([[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]])
-DAMPED = RigidBody(PLAIN.inertia, np.diag([0.01, 0.02, 0.03]))
-SMALLER = RigidBody.from_moments(0.9, 1.6, 1.9, 0.05, -0.1)
-FIELDS = [UniformField((0.1, -0.2, 0.3), (0.4, -0.2, -2.5)),
-          GravityGradient(0.4, (1.0, 2.0, 3.0), (3.0, 0.0, -1.0)),
-          UniformField((-0.3, 0.4, 0.1), (1.5, 0.5, 0.25))]
-#: Wheels that turn freely, that reach their largest speeds, and that also have friction.
-FREE = [Wheel(name, axis, 0.05, speed, max_torque=0.3) for name, axis, speed in (
-    ('a', (1, 1, 1), 0.0), ('b', (-1, 1, 1), 9.0), ('c', (-1, -1, 1), -3.0),
-    ('d', (1, -1, 1), 8.0))]
-LIMITED = [replace(wheel, max_speed=9.0) for wheel in FREE]
-SLOWED = [replace(wheel, friction=friction)
-          for wheel, friction in zip(LIMITED, (0.02, 0.05, 0.0, 0.01))]
 LAG = Actuator(0.05, 0.02, (0.8, 0.0, 0.5)), None, Actuator(0.02, 0.1)
 
 
@@ -97,7 +83,7 @@ def changing(keep, given):
     """Return what is given with a body that changes, at and between the stamps of torques."""
     return {**given, 'changes': BodyLog(
         [STAMPS[5], STAMPS[12] + 12_345, STAMPS[15], BEGIN + 2_345_678_901],
-        [SMALLER, PLAIN, DAMPED, SMALLER], keep)}
+        [SMALLER, BODY, DAMPED, SMALLER], keep)}
 
 
 def coasting(random):
@@ -160,7 +146,7 @@ class Scene(NamedTuple):
 
     def problem(self):
         random = np.random.default_rng([len(self.terms), self.seed])
-        return Problem(**{'body': PLAIN, 'start': START, **TERMS[self.terms](random)},
+        return Problem(**{'body': BODY, 'start': START, **TERMS[self.terms](random)},
                        **WAYS[self.way], torque_timeout=self.timeout)
 
 

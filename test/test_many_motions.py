@@ -16,6 +16,7 @@
 
 from conftest import at_night, SECOND
 import numpy as np
+from parts import FIELDS
 import pytest
 from rigid_body_ros import (
     GravityGradient,
@@ -34,8 +35,6 @@ COUNT = 12
 STRAIGHT, TURN = np.eye(3), np.linalg.qr(np.random.default_rng(8).normal(size=(3, 3)))[0]
 AT = np.array([0, 7, 3 * SECOND, SECOND, SECOND // 3])
 GAINS = np.linspace(-0.5, 1.5, COUNT)
-FIELDS = [UniformField((0.1, -0.2, 0.3), (0.4, -0.2, -2.5)), GravityGradient(0.4),
-          UniformField((-0.3, 0.4, 0.1), (1.5, 0.5, 0.25))]
 
 
 def scattered(seed=0):

@@ -16,6 +16,7 @@
 
 from conftest import chord, EPOCH_NS, Reference, SECOND
 import numpy as np
+from parts import BODY
 import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
 from rigid_body_ros.engine import kernels, layout
@@ -23,7 +24,6 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import SOLVERS
 
-BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 START = State(EPOCH_NS, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
 
 

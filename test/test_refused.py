@@ -15,10 +15,10 @@
 """What the engine refuses, in one line that names what was found."""
 
 from functools import partial
-import re
 
 from conftest import EPOCH_NS, SECOND
 import numpy as np
+from parts import BODY, DAMPED, FIELDS
 import pytest
 from rigid_body_ros import (
     Actuator,
@@ -39,10 +39,9 @@ from rigid_body_ros import (
 )
 from scipy.spatial.transform import Rotation
 
-BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
-DAMPED, SPUN = RigidBody(BODY.inertia, 0.1 * np.eye(3)), State(rotor_momentum=(0, 0, 1))
+SPUN = State(rotor_momentum=(0, 0, 1))
 START = State(EPOCH_NS, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
-FIELD, ORBITS = UniformField((0, 0, 0), (0, 0, 1)), [GravityGradient(0.4), GravityGradient(1.0)]
+(FIELD, *_), ORBITS = FIELDS, [GravityGradient(0.4), GravityGradient(1.0)]
 LOG, MOTOR = TorqueLog([0], [[1, 0, 0]]), TorqueLog([0], [[0, 0, 1.0]])
 LINEAR = TorqueLog([0], [[1, 0, 0]], interpolation='linear')
 WHEEL = Wheel('a', (1, 0, 0), 0.01)
@@ -61,16 +60,14 @@ def live(**options):
 REFUSED = {
     RigidBody: [
         ([np.eye(2)], 'inertia: expected 3 by 3 finite numbers'),
-        ([[[np.nan, 0, 0], [0, 1, 0], [0, 0, 1]]], '.*found .*nan'),
+        ([np.full((3, 3), np.nan)], '.*found .*nan'),
         ([[[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1]]], '.*symmetric tensor, found .*0.2'),
         ([np.diag([1.0, -2.0, 1.5])], '.*positive definite.* -2, 1, 1.5'),
         ([np.diag([1.0, 1.0, 3.0])],
          '.*not physical, .* 1, 1, 3 kg m.*other two by 50 % .limit 3 %'),
         ([np.eye(3) * 1e-310], '.*whose values and inverses fit a double'),
-        ([np.zeros((3, 3))], '.*positive definite'),
         ([BODY.inertia, np.eye(2)],
          r'damping: expected 3 by 3 finite numbers, found \[\[1.0, 0.0\], \[0.0, 1.0\]\]$'),
-        ([BODY.inertia, np.diag([1.0, np.nan, 0.0])], 'damping: expected 3 by 3 .*nan.*'),
         ([BODY.inertia, np.triu(np.ones((3, 3)))], 'damping: expected a symmetric tensor, found '),
         ([BODY.inertia, np.diag([1.0, -0.5, 2.0])], 'damping: expected a tensor without negative '
          'eigenvalues, found .* with the eigenvalue -0.5 N m s/rad$'),
@@ -78,8 +75,7 @@ REFUSED = {
          r'inertia of at most 1e\+09 1/s, found .*e\+\d\d 1/s$')],
     RigidBody.from_point_masses: [
         ([[1.0, -1.0], np.eye(3)[:2]], '.*greater than zero'),
-        ([[], np.zeros((0, 3))], '.*greater than zero'),
-        ([[1.0, 0.0, 1.0], np.eye(3)], '.*greater than zero'), ([[1.0], np.eye(3)], '.*shape'),
+        ([[], np.zeros((0, 3))], '.*greater than zero'), ([[1.0], np.eye(3)], '.*shape'),
         ([[1.0, 1.0], [[0, 0, 0], [0, 0, 1]]], '.*positive definite'),
         ([[1.0], [[1.0, 2.0, 3.0]]], '.*on one line'),
         ([[1.0, np.inf, 1.0], np.eye(3)], 'masses: expected at least one, each finite and '),
@@ -87,11 +83,9 @@ REFUSED = {
     State: [
         ([0, (0, 0, 0, 0)], 'attitude quaternion .*expected a non-zero'),
         ([0, (0, 0, np.nan, 1)], 'attitude quaternion .*nan'),
-        ([0, (0, 0, 1)], 'attitude quaternion .*expected 4'),
         ([0, Rotation.from_quat(np.eye(4)[:3])], 'attitude quaternion .*expected 4 finite '),
         ([0, (0, 0, 0, 1), (0, np.inf, 0)], 'angular velocity: .*inf'),
-        *(([0, (0, 0, 0, 1), (0, 0, 0), momentum], f'rotor momentum: {THREE}, found .*$')
-          for momentum in ((0.0, np.inf, 0.0), (0, 1), 1))],
+        ([0, (0, 0, 0, 1), (0, 0, 0), (0, 1)], f'rotor momentum: {THREE}, found .*$')],
     TorqueLog: [
         ([[0, 1], [[1, 2, 3]]], r'torques: expected shape \(2, 3\), found \(1, 3\)'),
         *(([[time], [[1, 2, 3]]], f'times_ns: {NANOSECONDS}') for time in (0.5, True, 2 ** 64)),
@@ -101,8 +95,6 @@ REFUSED = {
         ([[3], [[1, np.nan, 3]]], 'torque 0 at 3 ns: expected finite numbers, found .*nan'),
         ([[3], [[1, 2, 3]], 'base_link'], "frame: expected 'body' or 'space', found 'base_link'"),
         ([[3, 4], np.ones((2, 3)), ['body', 'x']], "frame: expected 'body' or 'space', found 'x'"),
-        ([[3, 4], np.ones((2, 3)), ['body']], 'frame: expected one name or 2, found 1'),
-        ([[3, 4], np.ones((2, 3)), True], "frame: expected 'body' or 'space', found 'True'"),
         ([[3, 4], np.ones((2, 3)), [True]], 'frame: expected one name or 2, found 1'),
         ([[3], [[1, 2, 3]], 'body', 'spline'], "interpolation: expected .*cubic, found 'spline'"),
         ([[3, 4], np.ones((2, 3)), ['body', 'space'], 'linear'],
@@ -111,24 +103,18 @@ REFUSED = {
              for times in ([0.5], [True], np.array([2 ** 63 + 1], np.uint64))],
     TorqueLog.from_momentum: [
         ([[0, 1], [[1, 2, 3]]], r'momenta: expected shape \(2, 3\), found \(1, 3\)$'),
-        ([[0.5], [[1, 2, 3]]], rf'times_ns: {NANOSECONDS} of shape \(n,\), found .*$'),
         ([[3], [[1, np.inf, 3]]], 'momentum 0 at 3 ns: expected finite numbers, found .*inf.*$'),
         ([[3, 4], [[0, 0, 0], [0, 1e300, 0]]], 'momentum 0 at 3 ns: expected a finite torque up '
          r'to the next sample, found a change from \[0.0, 0.0, 0.0\] to \[0.0, 1e\+300, 0.0\] N m '
          's in 1 ns$')],
     UniformField: [
         ([(0.0, np.nan, 0.0), (0, 0, 1)], rf'moment of a field: {THREE}, found .*nan, 0.0\]$'),
-        ([(0.0, 1.0), (0, 0, 1)], rf'moment of a field: {THREE}, found \[0.0, 1.0\]$'),
-        ([(0, 0, 1), (0.0, np.inf, 0.0)], rf'field of a field: {THREE}, found \[0.0, inf, 0.0\]$'),
         ([(0, 0, 1), 9.81], rf'field of a field: {THREE}, found 9.81$')],
     GravityGradient: [
         *(([rate], f'mean motion of an orbit: expected rad/s greater than zero, found {rate}$')
           for rate in (0.0, -0.001, np.nan, np.inf)),
         ([1.0, (0, 0, 0)], 'position of an orbit: expected a direction, found zeros$'),
-        ([1.0, (1, 0, 0), (0, 0, 0)], 'normal of an orbit: expected a direction, found zeros$'),
-        ([1.0, (1, np.inf, 0)], rf'position of an orbit: {THREE}, found \[1.0, inf, 0.0\]$'),
         ([1.0, (1, 0, 0), (0, 1)], rf'normal of an orbit: {THREE}, found \[0.0, 1.0\]$'),
-        ([1.0, (1, 0, 0), (1, 0, 1)], f'{DIRECTIONS}cosine of 0.707$'),
         ([1.0, (1, 0, 0), (-1e-8, 0, 1)], f'{DIRECTIONS}cosine of -1e-08$'),
         ([1.0, (1, 0, 0), (0, 0, 1), 2 ** 63], '.*9223372036854775808.*$')],
     BodyLog: [
@@ -194,10 +180,6 @@ REFUSED = {
          '.*expected 2, one or None for each source, found 1')],
     Problem(BODY, State(), wheels=FRICTION).carried: [
         ([], 'wheels: expected none with friction, which only a propagation computes, found w')],
-    Problem(BODY, State()).replaced: [
-        ({'fields': ORBITS}, 'fields: expected at most one gravity gradient')],
-    Problem(BODY, State(), solver='exact').replaced: [
-        ({'fields': [FIELD]}, "solver 'exact' handles torque-free motion only")],
     live: [
         ({'wheels': FRICTION, 'solver': 'explicit_euler', **STEP},
          "solver 'explicit_euler' handles neither friction nor max_speed of wheels, "),
@@ -206,7 +188,6 @@ REFUSED = {
     live().apply: [
         *(([time, [1, 2, 3]], '.*expected a time in int64 nanoseconds')
           for time in (2 ** 70, np.uint64(2 ** 63))),
-        ([0, [1, 2]], 'torque at 0 ns: expected 3 finite numbers, found'),
         ([0, [1, 2, np.inf]], 'torque at 0 ns: '),
         ([0, [1, 2, 3], 'map'], ".*'body' or 'space', found 'map'"),
         *(([0, [0, 0, 1], 'body', source], f'source: expected .*, found {source}$')
@@ -216,7 +197,6 @@ REFUSED = {
     live(solver='exact').apply: [
         ([7, [1.0, 0.0, 0.0]], "solver 'exact' handles torque-free motion only.* at 7 ns")],
     live().apply_wheels: [
-        ([3, [0, np.nan, 0]], rf'torque at 3 ns: {THREE}, found \[0.0, nan, 0.0\]$'),
         ([3, [0, 1]], rf'torque at 3 ns: {THREE}, found \[0.0, 1.0\]$')],
     live(solver='strang', **STEP).apply_wheels: [([0, [0, 0, 1]], "solver 'strang' handles .*$")],
     live().apply_efforts: [([0, {'a': 1.0}], 'efforts: expected named wheels, found none')],
@@ -228,17 +208,14 @@ REFUSED = {
         ({'fields': [[FIELD]]}, 'fields: expected 2, one for each body, found 1$'),
         ({'fields': [[FIELD], []]},
          'fields: expected fields for each run or for none, found 1 runs without$'),
-        ({'wheels': [None]}, 'wheels: expected 2, one for each body, found 1'),
         ({'wheels': TorqueLog([0], [[0, 0, 1]], 'space')}, 'wheels: expected torques in body '),
         ({'wheels': MOTOR, 'solver': 'strang', **STEP},
          "solver 'strang' handles neither rotors nor damping, found rotors"),
         ({'starts': States(0, np.ones((2, 4)), rotor_momentum=(0, 0, 1)), 'solver': 'exact'},
          "solver 'exact' handles neither rotors nor damping, found rotors"),
-        ({'wheels': MOTOR, 'solver': 'exact'}, "solver 'exact' handles"),
         ({'starts': States(0, np.ones((3, 4)))}, 'starts: expected 2, one for each body, found 3'),
         ({'log': [None]}, 'log: expected 2, one for each body, found 1'),
         ({'torque_gains': [1.0]}, r'torque_gains: expected shape \(2,\), found \(1,\)'),
-        ({'torque_gains': 0.0}, r'torque_gains: expected shape \(2,\), found \(\)'),
         ({'at': [-1]}, 'at: expected no time before the start'),
         ({'bodies': RigidBodies(np.zeros((0, 3, 3)))}, 'starts: expected 0')],
 }
@@ -260,7 +237,7 @@ def test_impossible_arguments_are_refused(call, arguments, message):
 
 @pytest.mark.parametrize('solver', ['strang', 'exact'])
 @pytest.mark.parametrize(('body', 'start', 'found'), [
-    (DAMPED, State(), 'damping'), (BODY, SPUN, 'rotors'), (DAMPED, SPUN, 'damping')])
+    (DAMPED, SPUN, 'damping'), (BODY, SPUN, 'rotors')])
 def test_a_solver_without_rotors_and_damping_refuses_them(solver, body, start, found):
     message = f'^solver {solver!r} handles neither rotors nor damping, found {found}$'
     for entry in (Problem, Propagator):
@@ -271,12 +248,10 @@ def test_a_solver_without_rotors_and_damping_refuses_them(solver, body, start, f
 @pytest.mark.parametrize('run', [
     partial(Problem, BODY, State()), live, partial(propagate_many, **TWO)], ids=of_call)
 def test_every_entry_refuses_two_orbits_and_fields_in_closed_form(run):
-    for given, message in (
-            ({'fields': ORBITS}, 'fields: expected at most one gravity gradient, found 2'),
-            ({'fields': [FIELD], 'solver': 'exact'},
-             "solver 'exact' handles torque-free motion only, found fields")):
-        with pytest.raises(ValueError, match=f'^{re.escape(message)}$'):
-            run(**given)
+    with pytest.raises(ValueError, match='^fields: expected at most one gravity .*, found 2$'):
+        run(fields=ORBITS)
+    with pytest.raises(ValueError, match="^solver 'exact' handles torque-free .*, found fields$"):
+        run(fields=[FIELD], solver='exact')
 
 
 @pytest.mark.parametrize(('time_ns', 'error', 'message'), [

@@ -17,18 +17,15 @@
 from conftest import chord, SECOND
 from known import lost_momentum, ODE_LOSSES
 import numpy as np
+from parts import BODY, FIELDS, START
 import pytest
-from rigid_body_ros import GravityGradient, propagate, RigidBody, State, TorqueLog, UniformField
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.options import solver_named
 
-BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
-START = State(0, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
 END = 5 * SECOND
 STAMPS = np.arange(6) * SECOND
 TORQUES = np.random.default_rng(1).normal(scale=0.4, size=(6, 3))
-FIELDS = [UniformField((0.1, -0.2, 0.3), (0.4, -0.2, -2.5)),
-          GravityGradient(0.4, (1.0, 2.0, 3.0), (3.0, 0.0, -1.0))]
 LOGS = [TorqueLog(STAMPS, TORQUES, interpolation='linear'),
         TorqueLog(STAMPS + SECOND // 2, TORQUES[::-1], 'space', 'cubic')]
 SCENES = {

@@ -16,6 +16,7 @@
 
 from mpmath import mp
 import numpy as np
+from parts import BODY
 import pytest
 from rigid_body_ros import TorqueLog
 import truth
@@ -24,11 +25,10 @@ pytestmark = pytest.mark.slow
 
 SECOND = 10 ** 9
 START = (0.1, -0.3, 0.2, 0.9)
-FULL = [[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]]
 MOTIONS = {
     'round the largest moment': (np.diag([1.0, 2.0, 3.0]), (1.0, 0.4, -2.0)),
     'flipping': (np.diag([3.0, 1.0, 2.0]), (0.02, -0.01, -1.0)),
-    'full tensor': (FULL, (0.5, -0.7, 0.9)),
+    'full tensor': (BODY.inertia, (0.5, -0.7, 0.9)),
     'prolate': (np.diag([2.0, 1.0, 2.0]), (0.5, -0.7, 0.9)),
     'oblique top': ([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]], (0.5, -0.7, 0.9)),
     'sphere': (np.diag([2.0, 2.0, 2.0]), (0.5, -0.7, 0.9)),
@@ -88,9 +88,9 @@ def test_polynomials_are_those_of_a_log(interpolation):
 def test_momentum_is_the_integral_of_a_linear_torque_in_space():
     torques = np.array([[0.02, -0.01, 0.03], [-0.05, 0.03, 0.01]])
     rise, _ = truth.polynomials([0, 2 * SECOND], torques, 'linear')
-    q, w = truth.series(FULL, START, (0, 0, 0), [(2 * SECOND, rise, True)])[-1]
+    q, w = truth.series(BODY.inertia, START, (0, 0, 0), [(2 * SECOND, rise, True)])[-1]
     with mp.workdps(70):
-        momentum = truth.rotate(q, truth.exact(FULL) @ w)
+        momentum = truth.rotate(q, truth.exact(BODY.inertia) @ w)
         assert apart([momentum], [sum(truth.exact(torques))]) < 1e-50
 
 

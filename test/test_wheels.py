@@ -21,6 +21,7 @@ import re
 from conftest import ROOT
 import numpy as np
 from numpy.testing import assert_array_equal
+from parts import BODY, DAMPED, FREE, LIMITED, SLOWED, SMALLER, START
 import pytest
 from rigid_body_ros import (
     BodyLog,
@@ -53,18 +54,6 @@ SECOND = 10 ** 9
 TRUTH = json.loads((ROOT / 'test' / 'truth_limits.json').read_text())
 #: Spans that are shorter, s, are those of a wheel that touches its limit within rounding.
 TOUCH = 1e-6
-BODY = RigidBody([[2.0, 0.1, -0.2], [0.1, 3.0, 0.05], [-0.2, 0.05, 4.0]])
-SMALLER = RigidBody.from_moments(1.5, 2.2, 2.6, 0.05, -0.1)
-DAMPED = RigidBody(BODY.inertia, damping=np.diag([0.01, 0.02, 0.03]))
-START = State(0, (0.1, -0.3, 0.2, 0.9), (0.3, 0.5, -0.2))
-#: Four wheels in a pyramid.
-PYRAMID = [Wheel(name, axis, 0.05, speed, max_torque=0.3) for name, axis, speed in (
-    ('a', (1, 1, 1), 0.0), ('b', (-1, 1, 1), 40.0), ('c', (-1, -1, 1), -3.0),
-    ('d', (1, -1, 1), 9.0))]
-LIMITED = [replace(wheel, max_speed=10.0) for wheel in PYRAMID]
-#: The same with friction, except that one of them turns without.
-SLOWED = [replace(wheel, friction=friction)
-          for wheel, friction in zip(LIMITED, (0.02, 0.05, 0.0, 0.01))]
 
 
 def commands(rng, count=40):
@@ -75,17 +64,17 @@ def commands(rng, count=40):
     return EffortLog(stamps, efforts)
 
 
-@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED, SLOWED])
+@pytest.mark.parametrize('wheels', [FREE, LIMITED, SLOWED])
 def test_momentum_in_space_is_constant_with_wheels_alone(wheels):
     motion = propagate(BODY, START, at=np.arange(0, 100 * SECOND, 10 ** 9), wheels=wheels,
                        efforts=EffortLog(np.arange(100) * SECOND, 0.3 * np.random.default_rng(
                            1).normal(size=(100, 4))))
-    assert bool(motion.at_limit) == (wheels is not PYRAMID)
+    assert bool(motion.at_limit) == (wheels is not FREE)
     momentum = motion.angular_momentum_space
     largest = np.linalg.norm(motion.rotor_momentum, axis=1).max()
     assert np.abs(momentum - momentum[0]).max() < 4e-15 * largest
     by_hand = BODY.angular_momentum(motion.angular_velocity) + 0.05 * motion.wheel_speeds @ \
-        np.array([wheel.axis for wheel in PYRAMID])
+        np.array([wheel.axis for wheel in FREE])
     assert np.abs(so3.rotate(motion.attitude, by_hand) - momentum[0]).max() < 1e-14 * largest
 
 
@@ -99,7 +88,7 @@ def energy(body, wheels, motion):
 
 def test_friction_takes_energy_until_the_wheels_turn_with_the_body():
     at = np.arange(0, 300 * SECOND, SECOND // 10)
-    wheels = [replace(wheel, friction=0.02) for wheel in PYRAMID]
+    wheels = [replace(wheel, friction=0.02) for wheel in FREE]
     motion = propagate(BODY, START, at=at, wheels=wheels)
     change = np.diff(energy(BODY, wheels, motion))
     assert (change < 1e-14).all()
@@ -146,11 +135,11 @@ def test_commands_are_clipped_held_and_kept():
                         [[0.2, np.nan, np.nan, np.nan], [0.1, -0.2, 5.0, np.nan],
                          [np.nan, 0.1, np.nan, np.nan], [np.nan] * 4])
     assert efforts.times_ns.tolist() == [0, SECOND]
-    motion = propagate(BODY, START, at=[0, SECOND - 1, SECOND, 3 * SECOND], wheels=PYRAMID,
+    motion = propagate(BODY, START, at=[0, SECOND - 1, SECOND, 3 * SECOND], wheels=FREE,
                        efforts=efforts)
     assert motion.wheel_efforts.tolist() == [
         [0.1, -0.2, 0.3, 0.0]] * 2 + [[0.2, 0.1, 0.3, 0.0]] * 2
-    propagator = Propagator(BODY, START, wheels=PYRAMID, history=2.0)
+    propagator = Propagator(BODY, START, wheels=FREE, history=2.0)
     assert propagator.apply_efforts(SECOND, {'a': 7.0, 'b': 0.1})
     assert propagator.apply_efforts(SECOND, {'a': 0.2})  # replaces the command with the same stamp
     assert propagator.apply_efforts(0, {'a': 0.1, 'b': -0.2, 'c': 5.0})
@@ -164,19 +153,19 @@ def test_commands_are_clipped_held_and_kept():
 def test_all_commands_time_out_after_the_last_of_them():
     efforts = EffortLog([0, SECOND], [[0.1, 0.2, 0.0, 0.0], [0.3, np.nan, np.nan, np.nan]])
     motion = propagate(BODY, START, at=[SECOND + SECOND // 2 - 1, SECOND + SECOND // 2],
-                       wheels=PYRAMID, efforts=efforts, torque_timeout=0.5)
+                       wheels=FREE, efforts=efforts, torque_timeout=0.5)
     assert motion.wheel_efforts.tolist() == [[0.3, 0.2, 0.0, 0.0], [0.0] * 4]
 
 
 def test_a_state_of_public_numbers_restarts_to_rounding():
     efforts, start = EffortLog([0], [[0.1, 0.2, -0.3, 0.0]]), replace(
         START, rotor_momentum=(0.2, -0.1, 0.4))
-    propagator = Propagator(BODY, start, wheels=PYRAMID)
+    propagator = Propagator(BODY, start, wheels=FREE)
     propagator.apply_efforts(0, dict(zip('abcd', efforts.efforts[0])))
     middle, end = propagator.at(SECOND), propagator.at(2 * SECOND)
     copy = State(SECOND, middle.attitude, middle.angular_velocity, middle.rotor_momentum,
                  middle.wheel_speeds)
-    found = propagate(BODY, copy, at=[2 * SECOND], wheels=PYRAMID, efforts=efforts)
+    found = propagate(BODY, copy, at=[2 * SECOND], wheels=FREE, efforts=efforts)
     assert abs(found.attitude[0] - end.attitude).max() < 1e-15
     assert abs(found.wheel_speeds[0] - end.wheel_speeds).max() < 1e-13
     assert abs(found.rotor_momentum[0] - end.rotor_momentum).max() < 1e-14
@@ -263,7 +252,7 @@ def test_the_marker_of_the_first_epoch_is_the_start_of_the_scene(other, speed):
 
 
 @pytest.mark.parametrize(('wheels', 'frame'), [
-    (PYRAMID, None), (PYRAMID, 'space'), (LIMITED, 'body'), (SLOWED, 'space')])
+    (FREE, None), (FREE, 'space'), (LIMITED, 'body'), (SLOWED, 'space')])
 def test_the_check_of_a_motion_knows_its_wheels(wheels, frame):
     log = frame and TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]], frame)
     efforts = EffortLog([0, SECOND, 2 * SECOND], [[0.3, 0.1, 0.0, -0.3], [0.5] * 4, [-0.1] * 4])
@@ -275,7 +264,7 @@ def test_the_check_of_a_motion_knows_its_wheels(wheels, frame):
 @pytest.mark.parametrize(('keep', 'timeout'), [('rate', 0.03), ('momentum', 0.0)])
 def test_rotors_that_do_what_the_wheels_do_move_a_changing_body_alike(keep, timeout):
     changes = BodyLog([-SECOND, SECOND, 2 * SECOND], [SMALLER, BODY, DAMPED], keep)
-    problem = Problem(DAMPED, START, wheels=PYRAMID, changes=changes, torque_timeout=timeout,
+    problem = Problem(DAMPED, START, wheels=FREE, changes=changes, torque_timeout=timeout,
                       efforts=commands(np.random.default_rng(13), 100))
     at = np.arange(0, 4 * SECOND, 12_345_678)
     motion, other = problem.propagate(at=at), problem.carried().propagate(at=at)
@@ -285,7 +274,7 @@ def test_rotors_that_do_what_the_wheels_do_move_a_changing_body_alike(keep, time
 
 def test_the_speeds_of_wheels_at_the_start_are_kept_where_the_start_varies():
     start = replace(START, wheel_speeds=(50.0, -20.0, 0.0, 70.0))
-    problem = Problem(BODY, start, wheels=PYRAMID)
+    problem = Problem(BODY, start, wheels=FREE)
     runs = Ensemble(problem, SECOND, (Dispersion('inertia.ixx', 'normal', (0.0,)),), 1).rows(0, 1)
     assert [runs[f'attitude.{axis}'][0] for axis in 'xyzw'] == problem.propagate(
         at=[SECOND]).attitude[0].tolist()
