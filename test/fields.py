@@ -114,22 +114,6 @@ def jacobi_integral(problem, motion):
     return Conserved(np.array(found), motion.kinetic_energy.max())
 
 
-def kovalevskaya_integral(problem, motion):
-    """
-    Return Kovalevskaya's integral, 1/s^4.
-
-    The moments of inertia about x and y are equal, and twice the moment about z. The moment of the
-    only field lies in the xy plane.
-    """
-    one, = problem.fields
-    x, y = motion.angular_velocity.T[:2]
-    field = so3.rotate(so3.conjugate(motion.attitude), np.broadcast_to(
-        one.field, (len(motion.attitude), 3)))
-    moment = complex(one.moment[0], one.moment[1]) / problem.body.inertia[2, 2]
-    values = abs((x + 1j * y) ** 2 + moment * (field[:, 0] + 1j * field[:, 1])) ** 2
-    return Conserved(values, values[0])
-
-
 def under_one_field(name, seed):
     """Return the problem of a top: asymmetric, Lagrange's, Kovalevskaya's, or with rotors."""
     random = np.random.default_rng(seed)

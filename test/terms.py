@@ -20,61 +20,68 @@ from pathlib import Path
 
 import numpy as np
 from rigid_body_ros import (
+    Actuator,
+    BodyLog,
+    EffortLog,
     GravityGradient,
-    propagate,
+    Problem,
     Propagator,
     RigidBody,
     State,
     TorqueLog,
     UniformField,
+    Wheel,
 )
 import truth
 
 _HERE = Path(__file__).resolve().parent
-TRUTH, TRUTH_OF_FIELDS = _HERE / 'truth_terms', _HERE / 'truth_fields'
+TRUTH, TRUTH_OF_FIELDS, TRUTH_OF_LOOPS = (
+    _HERE / f'truth_{name}' for name in ('terms', 'fields', 'loop'))
 NAMES, NAMES_OF_FIELDS = (sorted(path.stem for path in folder.glob('*.json'))
                           for folder in (TRUTH, TRUTH_OF_FIELDS))
 SECOND = 10 ** 9
 
 
+def problem_of(values, **options):
+    """Return the problem of a file: a start at time 0, and all that acts on the body."""
+    tensors = [values.get(name) and _tensor(values[name]) for name in (
+        'inertia_ixx_iyy_izz_ixy_ixz_iyz', 'damping_xx_yy_zz_xy_xz_yz')]
+    sources = [(values.get('torque_t_ns_x_y_z'), values.get('torque_frame'), None),
+               *((rows, frame, None)
+                 for frame, rows in values.get('other_torques_frame_rows', ())),
+               *((one['t_ns_x_y_z'], one['frame'], one.get('actuator'))
+                 for one in values.get('sources', ()))]
+    logs = [TorqueLog(*_columns(rows), frame or 'body') for rows, frame, _ in sources if rows]
+    actuators = [actuator and Actuator(**actuator) for rows, _, actuator in sources if rows]
+    fields = [UniformField(*pair) for pair in values.get('fields_moment_body_field_space', ())]
+    if 'orbit_rate_direction_normal' in values:
+        fields.append(GravityGradient(*values['orbit_rate_direction_normal']))
+    wheels, efforts, changes = values.get('wheels'), None, values.get('bodies_t_ns_six')
+    if wheels:
+        efforts = EffortLog(*_columns(values['efforts_t_ns_each']))
+        wheels = [Wheel(**wheel) for wheel in wheels]
+    elif 'wheel_torque_t_ns_x_y_z' in values:
+        wheels = TorqueLog(*_columns(values['wheel_torque_t_ns_x_y_z']))
+    if changes:
+        changes = BodyLog([row[0] for row in changes], [
+            RigidBody.from_moments(*row[1:]) for row in changes], values['keep'])
+    start = State(0, values['initial_attitude_xyzw'], values['initial_angular_velocity'],
+                  values.get('rotor_momentum', (0, 0, 0)))
+    return Problem(RigidBody(*tensors), start, logs, wheels=wheels, efforts=efforts, fields=fields,
+                   changes=changes, actuator=actuators if any(actuators) else None, **options)
+
+
 class Reference:
-    """
-    A scene and its motion with 24 digits, read from a file of a folder.
-
-    Attributes
-    ----------
-    body : RigidBody
-    start : State
-    logs : [TorqueLog]
-    wheels : TorqueLog
-    fields : [UniformField or GravityGradient]
-    times_ns : array of int, shape (m,)
-
-    """
+    """A problem and its motion with 24 digits, read from a file of a folder."""
 
     def __init__(self, name, folder=TRUTH):
         values = json.loads((folder / f'{name}.json').read_text())
-        damping = values.get('damping_xx_yy_zz_xy_xz_yz')
-        self.body = RigidBody(_tensor(values['inertia_ixx_iyy_izz_ixy_ixz_iyz']),
-                              None if damping is None else _tensor(damping))
-        self._rows = values['truth']
+        self.problem, self._rows = problem_of(values), values['truth']
+        self.start = self.problem.start
         self.times_ns = np.array([row['t_ns'] for row in self._rows])
-        self.start = State(int(self.times_ns[0]), values['initial_attitude_xyzw'],
-                           values['initial_angular_velocity'],
-                           values.get('rotor_momentum', (0, 0, 0)))
-        self.logs = [_log(values['torque_t_ns_x_y_z'], values['torque_frame'])]
-        self.logs += [_log(rows, frame)
-                      for frame, rows in values.get('other_torques_frame_rows', ())]
-        self.wheels = _log(values.get('wheel_torque_t_ns_x_y_z', ()), 'body')
-        self.fields = [UniformField(*pair)
-                       for pair in values.get('fields_moment_body_field_space', ())]
-        if 'orbit_rate_direction_normal' in values:
-            self.fields.append(GravityGradient(*values['orbit_rate_direction_normal'],
-                                               self.start.time_ns))
 
-    def propagate(self, at, start=None, **options):
-        return propagate(self.body, start or self.start, self.logs, at=at, wheels=self.wheels,
-                         fields=self.fields, **options)
+    def propagate(self, at, start=None):
+        return self.problem.replaced(start=start or self.start).propagate(at=at)
 
     def truth(self, key):
         """Return the rows of a quantity, shape (m, n), in 24 digits."""
@@ -83,7 +90,7 @@ class Reference:
     @cached_property
     def bound(self):
         """Return the bound on the errors at each time, rad or relative, shape (m,)."""
-        return bound_at(self.times_ns, self.propagate, self.start.time_ns)
+        return bound_at(self.times_ns, self.propagate, 0)
 
 
 def bound(motion):
@@ -105,16 +112,8 @@ def relative(found, expected):
     return np.linalg.norm((found - expected).astype(float), axis=1) / (size or 1.0)
 
 
-def reference(name):
-    """Return body, start and all values of a motion of wheels, actuators or changing bodies."""
-    values = json.loads((_HERE / 'truth_loop' / f'{name}.json').read_text())
-    return (RigidBody(_tensor(values['inertia_ixx_iyy_izz_ixy_ixz_iyz'])),
-            State(0, values['initial_attitude_xyzw'], values['initial_angular_velocity'],
-                  values.get('rotor_momentum', (0, 0, 0))), values)
-
-
 def assert_agrees(problem, values):
-    """Assert that a motion equals a `reference`, up to rounding as the motion magnifies it."""
+    """Assert that a motion is that of a file, up to rounding as the motion magnifies it."""
     rows = values['truth']
     times_ns = np.array([row['t_ns'] for row in rows])
     limits = values['magnification'] * bound_at(
@@ -175,5 +174,5 @@ def _tensor(values):
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def _log(rows, frame):
-    return TorqueLog([row[0] for row in rows], [row[1:] for row in rows], frame)
+def _columns(rows):
+    return [row[0] for row in rows], [row[1:] for row in rows]

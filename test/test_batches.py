@@ -16,7 +16,7 @@
 
 import re
 
-from conftest import at_night, CONFIG, EPOCH_NS, RECORDINGS, SECOND
+from conftest import at_night, CONFIG, EPOCH_NS, RECORDINGS, SECOND, write_torques
 import numpy as np
 import pytest
 from rigid_body_ros import messages, recording, scene, TorqueLog
@@ -50,24 +50,11 @@ def test_a_recording_in_pieces_gives_the_bits_of_the_whole(tmp_path, monkeypatch
     assert result.last_ns == whole.last_ns
 
 
-def written(path, values):
-    """Write torques at 1 kHz."""
-    with recording.Writer(path) as writer:
-        writer.add_topic('/torque', messages.WRENCH)
-        for stamp_ns, torque in zip(range(EPOCH_NS, 2 ** 63, SECOND // 1000), values):
-            writer.write('/torque', stamp_ns, messages.wrench(stamp_ns, '', 1e-3 * torque))
-    return path
-
-
-def shuffled(path, order, frames=('',)):
-    """Write torques at 1 kHz in another order; each frame applies to one part of the time."""
-    with recording.Writer(path) as writer:
-        writer.add_topic('/torque', messages.WRENCH)
-        for row in order:
-            stamp_ns = EPOCH_NS + int(row) * SECOND // 1000
-            frame = frames[int(row) * len(frames) // len(order)]
-            writer.write('/torque', stamp_ns, messages.wrench(stamp_ns, frame, [row % 7, 0, 1]))
-    return path
+def written(path, order, torques=None, frames=('',)):
+    """Write torques at 1 kHz in an order; each frame applies to one part of the time."""
+    return write_torques(path, [
+        (EPOCH_NS + row * SECOND // 1000, frames[row * len(frames) // len(order)],
+         [row % 7, 0, 1] if torques is None else torques[row]) for row in order])
 
 
 @pytest.mark.parametrize('order', ['ascending', 'descending', 'any'])
@@ -109,10 +96,10 @@ def test_pieces_are_those_of_the_sorted_log(monkeypatch, order):
 def test_stamps_out_of_order_are_put_in_order_and_told(tmp_path, monkeypatch, distance):
     monkeypatch.setattr(torques, '_SAMPLES', 100)
     count, loaded = 8_000, scene.load(CONFIG / 'tumbler.yaml')
-    order = np.arange(count)
-    order[[1000, 1000 + distance]] = order[[1000 + distance, 1000]]
-    whole = replay(shuffled(tmp_path / 'in.mcap', np.arange(count)), loaded)
-    result = replay(shuffled(tmp_path / 'out.mcap', order), loaded, tmp_path / 'motion.mcap')
+    order = [*range(count)]
+    order[1000], order[1000 + distance] = order[1000 + distance], order[1000]
+    whole = replay(written(tmp_path / 'in.mcap', range(count)), loaded)
+    result = replay(written(tmp_path / 'out.mcap', order), loaded, tmp_path / 'motion.mcap')
     np.testing.assert_array_equal(result.last.attitude, whole.last.attitude)
     assert (whole.account.counted, whole.account.faults, result.account.faults) == ('', [], [])
     assert (f'account       8000 of 8000 samples are used: {distance} late and sorted'
@@ -124,7 +111,7 @@ def test_a_check_says_what_beginning_of_the_motion_it_covers(tmp_path, monkeypat
     monkeypatch.setattr(torques, '_SAMPLES', 100)
     path, loaded = RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml')
     if config == 'free':
-        path = written(tmp_path / 'in.mcap', np.zeros((1000, 3)))
+        path = written(tmp_path / 'in.mcap', range(1000), np.zeros((1000, 3)))
     with monkeypatch.context() as patch:
         patch.setattr(batches, '_LARGEST', 70)
         result = replay(path, loaded, tmp_path / 'out.mcap')
@@ -141,7 +128,8 @@ def test_a_piece_may_have_no_output_and_the_motion_may_begin_after_the_first(tmp
                                                                             offset_ns, rate):
     monkeypatch.setattr(torques, '_SAMPLES', 100)
     monkeypatch.setattr(writer, '_CHUNK', 2 ** 12)  # what is read at a time
-    path = written(tmp_path / 'in.mcap', np.random.default_rng(4).normal(size=(1000, 3)))
+    path = written(tmp_path / 'in.mcap', range(1000),
+                   np.random.default_rng(4).normal(scale=1e-3, size=(1000, 3)))
     values = scene.load(CONFIG / 'tumbler.yaml').values
     loaded = scene.Scene.from_values({**values, 'start_time': EPOCH_NS + offset_ns})
     result = replay(path, loaded, tmp_path / 'out.mcap', rate=rate)
@@ -152,7 +140,7 @@ def test_a_piece_may_have_no_output_and_the_motion_may_begin_after_the_first(tmp
 
 def test_frames_that_change_late_are_refused_between_samples_as_well(tmp_path, monkeypatch):
     monkeypatch.setattr(torques, '_SAMPLES', 100)
-    path = shuffled(tmp_path / 'in.mcap', np.arange(1000), ('base_link', 'world'))
+    path = written(tmp_path / 'in.mcap', range(1000), frames=('base_link', 'world'))
     loaded = scene.load(CONFIG / 'tumbler.yaml')
     replay(path, loaded, tmp_path / 'motion.mcap')
     with pytest.raises(InputError, match='interpolation linear: expected torques in one frame'):

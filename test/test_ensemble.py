@@ -19,7 +19,7 @@ import os
 import shutil
 import sys
 
-from conftest import nearest_rank, ROOT, SECOND
+from conftest import nearest_rank, program, ROOT, SECOND
 import numpy as np
 from pyarrow import parquet
 import pytest
@@ -40,8 +40,7 @@ initial_angular_velocity.z: {normal: 0.1, relative: true}
 torque_gain: {normal: 0.03}
 clock_offset: {normal: 0.001}
 """
-COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.commands import main; '
-           'sys.exit(main.attitude_ensemble())']
+COMMAND = program('attitude_ensemble')
 ENVIRONMENT = {**os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), *sys.path])}
 TIMES = np.arange(40) / 20.0
 TORQUES = np.round(0.01 * np.sin(np.arange(120.0)).reshape(40, 3), 9)
@@ -84,17 +83,6 @@ def contents(path):
     return {str(found.relative_to(path)): found.read_bytes()
             for found in (*(path / name for name in names), *(path / 'motion.zarr').rglob('*'))
             if found.is_file() or found.name in names}
-
-
-def error_of(capsys, given, printed=()):
-    """Return the error line of a command that fails, after lines that a controller prints."""
-    capsys.readouterr()
-    assert main.attitude_ensemble(given) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ''
-    *others, line = captured.err.strip().splitlines()
-    assert {*others} == {*printed}
-    return line
 
 
 def without_recording(given, inputs):
@@ -260,11 +248,11 @@ def test_xarray_opens_the_motions_with_their_coordinates(inputs):
     (lambda inputs: edit(inputs / 'out' / 'identity.json', '{', '['), 'cannot read the ensemble'),
     (lambda inputs: ('--times', 8), "expected the times of its runs, 'final', found 8.0"),
 ], ids=['seed', 'until', 'scene', 'vary', 'recording', 'fewer', 'damaged', 'times'])
-def test_another_ensemble_is_refused(made, capsys, change, message):
+def test_another_ensemble_is_refused(made, refusal, change, message):
     before = contents(made / 'out')
     more = change(made) or ()
     runs, more = (more[1], ()) if '--runs' in more else (10, more)
-    line = error_of(capsys, arguments(made, 'out', runs, *more))
+    line = refusal('attitude_ensemble', *arguments(made, 'out', runs, *more))
     assert line.startswith(f'attitude_ensemble: error: {made / "out"}')
     assert message in line
     if not message.startswith('cannot read'):
@@ -297,15 +285,16 @@ def edit(path, old, new):
     (lambda inputs: None, ('--times', '1e9'), '--times: expected at most 2097152 states in a run, '
      'found 1e+09 Hz over 1.95 s'),
 ], ids=['key', 'vary', 'file', 'recording', 'times'])
-def test_bad_input_is_one_line(inputs, capsys, change, more, message):
+def test_bad_input_is_one_line(inputs, refusal, change, more, message):
     change(inputs)
-    assert message in error_of(capsys, arguments(inputs, 'out', 10, *more))
+    assert message in refusal('attitude_ensemble', *arguments(inputs, 'out', 10, *more))
     assert not (inputs / 'out').is_dir()
 
 
-def test_without_a_recording_a_motion_needs_an_end(inputs, capsys):
+def test_without_a_recording_a_motion_needs_an_end(inputs, refusal):
     given = without_recording(arguments(inputs, 'out', 3), inputs)
-    assert '--until: expected the end of the motion, or a --recording' in error_of(capsys, given)
+    assert '--until: expected the end of the motion, or a --recording' in refusal(
+        'attitude_ensemble', *given)
 
 
 @pytest.mark.parametrize('more', ['--runs=0', '--workers=0', '--seed=-1', '--times=0',

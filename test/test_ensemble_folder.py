@@ -37,7 +37,6 @@ from test_ensemble import (
     contents,
     count,
     ENVIRONMENT,
-    error_of,
     HZ,
     inputs,
     make_blocks_small,
@@ -97,7 +96,7 @@ def check_whole(path):
 
 
 @pytest.mark.slow
-def test_a_second_command_changes_nothing(inputs, capsys):
+def test_a_second_command_changes_nothing(inputs, refusal):
     run(inputs, 'whole', 6000)
     path = inputs / 'out'
     run(inputs, 'out', 20)
@@ -108,7 +107,7 @@ def test_a_second_command_changes_nothing(inputs, capsys):
         first.send_signal(signal.SIGSTOP)
         before = everything(path)
         for runs in (6000, 5000, 7000):
-            line = error_of(capsys, arguments(inputs, 'out', runs))
+            line = refusal('attitude_ensemble', *arguments(inputs, 'out', runs))
             assert line.startswith(f'attitude_ensemble: error: {path}: another attitude_ensemble, '
                                    f'process {first.pid} on host {socket.gethostname()}, writes '
                                    'to it since 20')
@@ -134,20 +133,20 @@ def test_a_file_system_without_locks_is_reported(inputs, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize('name', ['mine', 'lock'])
-def test_a_folder_of_something_else_gets_no_lock(inputs, capsys, name):
+def test_a_folder_of_something_else_gets_no_lock(inputs, refusal, name):
     (inputs / 'out').mkdir()
     (inputs / 'out' / name).write_text('precious')
-    assert 'expected a new folder' in error_of(capsys, arguments(inputs, 'out', 5))
+    assert 'expected a new folder' in refusal('attitude_ensemble', *arguments(inputs, 'out', 5))
     assert [path.name for path in (inputs / 'out').iterdir()] == [name]
 
 
 @pytest.mark.slow
-def test_a_link_in_place_of_the_lock_is_not_followed(inputs, capsys):
+def test_a_link_in_place_of_the_lock_is_not_followed(inputs, refusal):
     run(inputs, 'out', 5)
     (inputs / 'mine').write_text('precious')
     (inputs / 'out' / LOCK).unlink()
     (inputs / 'out' / LOCK).symlink_to(inputs / 'mine')
-    assert 'cannot write' in error_of(capsys, arguments(inputs, 'out', 5))
+    assert 'cannot write' in refusal('attitude_ensemble', *arguments(inputs, 'out', 5))
     assert (inputs / 'mine').read_text() == 'precious'
 
 
@@ -279,11 +278,11 @@ def race(inputs, name, random, seconds, more):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('share', [0.1, *at_night(0.0, 0.01, 0.03, 0.2, 0.3, 0.5, 0.7, 0.9)])
-def test_a_write_that_fails_is_one_line_and_the_folder_is_resumed(inputs, capsys, share):
+def test_a_write_that_fails_is_one_line_and_the_folder_is_resumed(inputs, capsys, share, refusal):
     run(inputs, 'whole', 3000, '--times', 7)
     largest = max(path.stat().st_size for path in (inputs / 'whole').rglob('*'))
     with files_up_to(round(share * largest)):
-        line = error_of(capsys, arguments(inputs, 'out', 3000, '--times', 7))
+        line = refusal('attitude_ensemble', *arguments(inputs, 'out', 3000, '--times', 7))
     assert line.startswith(f'attitude_ensemble: error: {inputs / "out"}')
     assert 'File too large' in line
     assert not check_whole(inputs / 'out')
@@ -293,10 +292,10 @@ def test_a_write_that_fails_is_one_line_and_the_folder_is_resumed(inputs, capsys
 
 
 @pytest.mark.slow
-def test_a_run_that_is_missing_is_found_before_the_table_has_its_name(inputs, capsys,
+def test_a_run_that_is_missing_is_found_before_the_table_has_its_name(inputs, refusal,
                                                                       monkeypatch):
     from rigid_body_ros.ensemble import driver
     monkeypatch.setattr(driver, '_divided', lambda spans, workers: spans[:-1])
-    line = error_of(capsys, arguments(inputs, 'out', 320))
+    line = refusal('attitude_ensemble', *arguments(inputs, 'out', 320))
     assert 'expected each of 320 runs once, found run 310 missing or twice' in line
     assert not (inputs / 'out' / 'runs.parquet').exists()

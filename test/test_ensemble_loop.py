@@ -49,7 +49,7 @@ from rigid_body_ros.ensemble.summary import _explained, interval
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.scene import load, Scene
 from scipy.stats import binomtest
-from test_ensemble import contents, error_of, undrawn
+from test_ensemble import contents, undrawn
 from test_ensemble_folder import wait_for
 
 undrawn = undrawn  # a fixture
@@ -211,11 +211,10 @@ def test_a_run_whose_controller_fails_says_when_and_why(name, message):
     ('controllers:guess', 'expected the same torque when the run is repeated, found ['),
     ('controllers:Shared', '0 s: controller controllers:Shared: expected the same torque'),
 ])
-def test_a_bad_controller_is_one_line(tmp_path, monkeypatch, capsys, name, message):
-    (tmp_path / 'leaves.py').write_text('import sys\nprint(5)\nsys.exit(5)\n')
+def test_a_bad_controller_is_one_line(tmp_path, monkeypatch, refusal, name, message):
+    (tmp_path / 'leaves.py').write_text('import sys\nsys.exit(5)\n')
     monkeypatch.chdir(tmp_path)
-    printed = ['5'] if name == 'leaves:damp' else []
-    assert message in error_of(capsys, given(tmp_path, name), printed)
+    assert message in refusal('attitude_ensemble', *given(tmp_path, name))
 
 
 def given(folder, name, *more):
@@ -226,9 +225,11 @@ def given(folder, name, *more):
 
 @pytest.mark.slow
 def test_a_worker_that_dies_is_one_line(tmp_path, capsys):
-    error = error_of(capsys, given(tmp_path, 'controllers:killed'), ['alive'])
+    assert main.attitude_ensemble(given(tmp_path, 'controllers:killed')) == 2
+    captured = capsys.readouterr()
     assert re.search('cannot compute runs . to .: worker process exited with status 3; run the '
-                     'same command again to compute what is missing', error)
+                     'same command again to compute what is missing\n$', captured.err)
+    assert captured.out == ''  # what the controller prints goes to the standard error
 
 
 @pytest.mark.slow
@@ -302,21 +303,21 @@ def replay_the_worst(folder, rows, text, monkeypatch):
 
 
 @pytest.mark.slow
-def test_another_controller_is_refused(tmp_path, monkeypatch, capsys):
+def test_another_controller_is_refused(tmp_path, monkeypatch, refusal):
     source = tmp_path / 'its_own.py'
     shutil.copy(ROOT / 'examples' / 'damp_rates.py', source)
     monkeypatch.chdir(tmp_path)
     arguments = [one if one != '2' else '1' for one in given(tmp_path, 'its_own:damp')]
     assert main.attitude_ensemble(arguments) == 0
     source.write_text(source.read_text().replace('0.02', '0.03'))
-    assert 'expected the controller of its runs' in error_of(capsys, arguments)
+    assert 'expected the controller of its runs' in refusal('attitude_ensemble', *arguments)
 
 
 @pytest.mark.parametrize('text', ['', 'rate < nan', 'speed < 1', 'rate = 1', 'rate < 1 deg',
                                   'angle < 1 after -1 s'])
-def test_what_is_no_requirement_is_one_line(tmp_path, capsys, text):
-    assert "such as 'rate < 0.05' or 'angle < 1 deg after 60 s', found" in error_of(
-        capsys, given(tmp_path, 'controllers:damp', '--require', text))
+def test_what_is_no_requirement_is_one_line(tmp_path, refusal, text):
+    assert "such as 'rate < 0.05' or 'angle < 1 deg after 60 s', found" in refusal(
+        'attitude_ensemble', *given(tmp_path, 'controllers:damp', '--require', text))
 
 
 @pytest.mark.parametrize(('met', 'runs'), [(0, 10), (3, 10), (10, 10), (970, 1000)])

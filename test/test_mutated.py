@@ -23,13 +23,13 @@ import os
 import re
 
 import bags
-from conftest import at_night, CONFIG
+from conftest import at_night, CONFIG, write_torques
 from hostile import LAUGHS, line_of, outcome, TUMBLER
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from rigid_body_ros import messages, recording
+from rigid_body_ros import recording
 from rigid_body_ros.commands import ensemble as ensemble_command
 from rigid_body_ros.commands.arguments import load_scene
 
@@ -184,8 +184,6 @@ def test_a_mutated_description_gives_torques_or_a_line(tmp_path, kind):
     if kind == 'rosbags':
         bags.split(tmp_path, bags.traffic(bags.torques(20)[6:]), parts=2)
     else:
-        with recording.FolderWriter(path) as writer:
-            writer.add_topic('/torque', messages.WRENCH)
-            writer.write('/torque', 1, messages.wrench(1, '', [1.0, 0.0, 0.0]))
+        write_torques(path, [(1, '', [1.0, 0.0, 0.0])], kind=recording.FolderWriter)
     about = path / 'metadata.yaml'
     check(about, about.read_bytes(), lambda: outcome(path), max(1, EXAMPLES // 6))

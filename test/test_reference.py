@@ -14,21 +14,14 @@
 
 """The engine, compared with motions of 24 to 50 digits."""
 
+import json
+
 from conftest import chord, RECORDINGS, Reference
 import fields
 from mpmath import mp
 import numpy as np
 import pytest
-from rigid_body_ros import (
-    Actuator,
-    BodyLog,
-    EffortLog,
-    Problem,
-    RigidBody,
-    State,
-    TorqueLog,
-    Wheel,
-)
+from rigid_body_ros import State
 import terms
 import truth
 
@@ -125,27 +118,10 @@ def test_no_second_of_the_pendulum_loses_more_than_it_magnifies():
         assert np.linalg.norm(apart) <= limit * speed
 
 
-def of_source(given):
-    """Return the log and the actuator of a source in a file of the truth."""
-    rows, found = given['t_ns_x_y_z'], given.get('actuator')
-    return (TorqueLog([row[0] for row in rows], [row[1:] for row in rows], given['frame']),
-            found and Actuator(found['delay'], found['time_constant'], found['limit']))
-
-
 @pytest.mark.parametrize('name', [
     'actuator_lag', 'actuator_delay_limit', 'wheels_spin_up', 'wheels_friction', 'payload_dropped',
     'arm_deployed'])
 def test_motions_with_actuators_wheels_and_bodies_that_change(name):
-    body, start, values = terms.reference(name)
-    given = {}
-    if sources := values.get('sources'):
-        given['log'], given['actuator'] = zip(*map(of_source, sources))
-    if wheels := values.get('wheels'):
-        rows = values['efforts_t_ns_each']
-        given |= {'wheels': [Wheel(**wheel) for wheel in wheels],
-                  'efforts': EffortLog([row[0] for row in rows], [row[1:] for row in rows])}
-    if rows := values.get('bodies_t_ns_six'):
-        given['changes'] = BodyLog([row[0] for row in rows], [
-            RigidBody.from_moments(*row[1:]) for row in rows], values['keep'])
+    values = json.loads((terms.TRUTH_OF_LOOPS / f'{name}.json').read_text())
     for solver in ('auto', 'taylor'):
-        terms.assert_agrees(Problem(body, start, solver=solver, **given), values)
+        terms.assert_agrees(terms.problem_of(values, solver=solver), values)

@@ -48,7 +48,7 @@ from rigid_body_ros.propagation.sources import BODY as SOURCE
 from rigid_body_ros.propagation.sources import COMMANDS
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.scene import Scene
-from terms import numbers
+from terms import numbers, problem_of
 
 SECOND = 10 ** 9
 TRUTH = json.loads((ROOT / 'test' / 'truth_limits.json').read_text())
@@ -281,18 +281,6 @@ def test_the_speeds_of_wheels_at_the_start_are_kept_where_the_start_varies():
     assert last_digit_effect(problem, [SECOND]) < 1e-13
 
 # Largest speeds
-
-
-def problem_of(values):
-    """Return a scene of the file as a problem."""
-    xx, yy, zz, xy, xz, yz = values['inertia_ixx_iyy_izz_ixy_ixz_iyz']
-    torques, efforts = values['torque_t_ns_x_y_z'], values['efforts_t_ns_each']
-    return Problem(
-        RigidBody([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
-        State(0, values['initial_attitude_xyzw'], values['initial_angular_velocity']),
-        TorqueLog([row[0] for row in torques], [row[1:] for row in torques]) if torques else None,
-        wheels=[Wheel(**wheel) for wheel in values['wheels']],
-        efforts=EffortLog([row[0] for row in efforts], [row[1:] for row in efforts]))
 
 
 def true_spans(values):
