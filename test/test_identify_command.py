@@ -140,7 +140,7 @@ def test_measured_and_computed_curves_are_over_each_other_and_outliers_are_marks
     clean = truth.measured(2e-3, 5e-3)
     rates = clean.angular_velocity.copy()
     rates[500] += 3.0
-    attitude = clean.attitude * np.where(np.arange(len(rates)) % 2, -1.0, 1.0)[:, None]
+    attitude = clean.attitude * np.where(np.arange(len(rates)) % 2, 1.0, -1.0)[:, None]
     write_tumble(tmp_path, truth, INERTIA, replace(clean, angular_velocity=rates,
                                                    attitude=attitude))
     assert identify(tmp_path, '--estimate', 'start', '--report', report, '--degrees') == 0
