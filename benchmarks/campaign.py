@@ -47,17 +47,21 @@ TRUE = {f'inertia.i{name}': float(INERTIA[place]) for name, place in ENTRIES.ite
 ENOUGH = 5
 
 
-def fit(kind, recording, **options):
-    """Fit a recording with `identify` and these options, and return the result."""
+def experiment(kind, recording):
+    """Return what was logged of a recording."""
     measured = []
     if kind.has_attitude:
         measured.append(Measured('/mocap', recording.attitude_ns, recording.attitude, None))
     if kind.has_rates:
         measured.append(Measured('/imu', recording.rate_ns, None, recording.rates))
-    experiment = Experiment(State(0, *recording.start),
-                            TorqueLog(recording.torque_ns, recording.torques), measured)
+    return Experiment(State(0, *recording.start),
+                      TorqueLog(recording.torque_ns, recording.torques), measured)
+
+
+def fit(kind, recording, **options):
+    """Fit a recording with `identify` and these options, and return the result."""
     guess = RigidBody.from_moments(*(kind.guess or (0.03, 0.03, 0.03)))
-    return identify(guess, experiment, **{'estimate': kind.estimate, **options})
+    return identify(guess, experiment(kind, recording), **{'estimate': kind.estimate, **options})
 
 
 class Outcome(NamedTuple):

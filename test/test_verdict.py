@@ -18,7 +18,7 @@ from dataclasses import replace
 from functools import cache
 import re
 
-from campaign import fit, TRUE
+from campaign import experiment, fit, TRUE
 from conftest import at_night
 import numpy as np
 import pytest
@@ -27,7 +27,6 @@ from rigid_body_ros import (
     Experiment,
     identify,
     Measured,
-    Problem,
     propagate,
     RigidBody,
     State,
@@ -39,11 +38,12 @@ from rigid_body_ros.identification.estimation import too_wide
 from rigid_body_ros.identification.result import Estimate
 from rigid_body_ros.inference import reasons
 from rigid_body_ros.inference.noise import noise_of, NORMAL_95
-from rigid_body_ros.recording.observed import Measurements
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 from simulated import named, recordings
+
+GUESS = RigidBody.from_moments(0.03, 0.03, 0.03)
 
 
 @cache
@@ -94,11 +94,9 @@ def test_a_right_model_is_explained_and_its_intervals_cover_the_truth(name):
 @pytest.mark.parametrize(('name', 'suspects'), [
     ('gyro bias', {'gyro_bias'}),
     *at_night(('mount of the gyro 5 degrees', {'mount@/imu'}), ('damping', {'damping'}),
-              ('torque bias', {'torque_bias'}),
-              ('rotor', {'rotor_momentum'}),
+              ('torque bias', {'torque_bias'}), ('rotor', {'rotor_momentum'}),
               ('gains of all axes', {'torque_gains'}), ('delay 100 ms', {'torque_delay'}),
-              ('weight', {'weight'}),
-              ('clock of the gyro 50 ms', {'clock_offset@/imu'}),
+              ('weight', {'weight'}), ('clock of the gyro 50 ms', {'clock_offset@/imu'}),
               ('gyro scale', {'gyro_scale'}), ('mount 30 degrees', {'mount@/mocap'}))])
 def test_the_suspect_is_what_is_wrong(name, suspects):
     result = identified(name)
@@ -217,17 +215,13 @@ def test_a_small_mounting_is_no_large_one():
                     result.headline)
 
 
-def of_bodies(factors, **options):
+def of_bodies(factors):
     """Fit recordings of bodies, whose inertias differ by these factors, as those of one body."""
-    kind = replace(named('all well'), seconds=6.0)
-    experiments = []
+    kind, experiments = replace(named('all well'), seconds=6.0), []
     for factor, one in zip(factors, recordings(kind, range(len(factors)))):
-        measured = [Measured('/mocap', one.attitude_ns, one.attitude, None),
-                    Measured('/imu', one.rate_ns, None, one.rates)]
         # Twice the torque turns twice the inertia as fast.
-        experiments.append(Experiment(State(0, *one.start), TorqueLog(
-            one.torque_ns, one.torques / factor), measured))
-    return identify(RigidBody.from_moments(0.03, 0.03, 0.03), experiments, **options)
+        experiments.append(experiment(kind, replace(one, torques=one.torques / factor)))
+    return identify(GUESS, experiments)
 
 
 @pytest.mark.slow
@@ -302,13 +296,9 @@ def test_an_interval_of_a_moment_may_not_contain_zero():
 
 @pytest.mark.slow
 def test_a_suspect_beside_the_moment_of_a_field_is_fitted():
-    _, one = recorded('torque bias')
+    given = experiment(*recorded('torque bias'))
     pivot = UniformField((1e-6, 0.0, 0.0), (0.0, 0.0, -9.8), 'pivot')
-    problem = Problem(RigidBody.from_moments(0.03, 0.03, 0.03), State(0, *one.start),
-                      TorqueLog(one.torque_ns, one.torques), fields=[pivot])
-    measured = Measurements([Measured('/mocap', one.attitude_ns, one.attitude, None),
-                             Measured('/imu', one.rate_ns, None, one.rates)])
-    result = identify(problem.body, (problem, measured),
+    result = identify(GUESS, replace(given, fields=[pivot]),
                       estimate=['inertia', 'start', 'pivot.moment'])
     assert 'torque_bias' in {one.name for one in result.verdict.suspects}
 
@@ -331,7 +321,7 @@ def on_the_ground(torque, has_attitude=False, bias=0.01):
     (True, 0.0, ('inertia', 'start'), 'this says nothing about it')])
 def test_a_body_that_does_not_move_is_rejected_with_one_reason(has_attitude, torque, names, text):
     recording = on_the_ground(torque, has_attitude)
-    verdict = identify(RigidBody(np.diag([0.03, 0.03, 0.03])), recording, estimate=names).verdict
+    verdict = identify(GUESS, recording, estimate=names).verdict
     assert (verdict.level, verdict.suspects) == ('rejected', [])
     reason, *others = verdict.reasons
     assert reason == f'the body does not visibly move: {text}'
@@ -342,10 +332,9 @@ def test_a_body_that_does_not_move_is_rejected_with_one_reason(has_attitude, tor
 @pytest.mark.parametrize(('torque', 'level'), [(5e-3, 'rejected'), (0.0, 'explained')])
 def test_only_a_body_that_should_move_is_compared_with_a_reason(torque, level):
     recording = on_the_ground(torque, True, bias=0.0)
-    verdict = compare(RigidBody(np.diag([0.03, 0.03, 0.03])), recording.start, recording.log,
-                      measured=recording.measured, align=['start']).verdict
-    assert verdict.level == level
-    assert verdict.reasons == ([] if level == 'explained' else [
+    verdict = compare(GUESS, recording.start, recording.log, measured=recording.measured,
+                      align=['start']).verdict
+    assert (verdict.level, verdict.reasons) == (level, [] if level == 'explained' else [
         'the body does not visibly move: the logged torque has no visible effect'])
 
 
