@@ -104,6 +104,12 @@ def called(capsys, folder, command, path, *arguments, scene=SCENE):
                   json.loads(out.read_text()) if status != 2 and options else None)
 
 
+def is_clean(result, *names):
+    """Check that a command reports nothing, and that the errors are the noise."""
+    assert (result.status, result.error) == (0, '')
+    is_noise(result.found, *names)
+
+
 def is_noise(found, *names):
     """Check that the errors are the noise, and that nothing else is compared."""
     for name, sigma in NOISE.items():

@@ -23,6 +23,7 @@ from field_data import (
     called,
     COUNT,
     GYRO,
+    is_clean,
     is_noise,
     RATES,
     ROWS,
@@ -109,20 +110,18 @@ JOINED = ('__time,/torque/wrench/torque/x,/torque/wrench/torque/y,/torque/wrench
 def test_a_joined_table_has_empty_cells_and_several_rates(run, tmp_path, blank, is_apart):
     lines = [JOINED]
     for row, time in enumerate(TIMES):
-        samples = [','.join(map(repr, values[row].tolist()) if row % step == 0 else blanks)
-                   for values, step, blanks in ((TORQUES, 1, 3 * [blank]), (RATES, 2, 3 * [blank]),
-                                                (ATTITUDE, 3, 4 * [blank]))]
-        no_torque, no_rates, no_attitude = (','.join(count * [blank]) for count in (3, 3, 4))
-        parts = [[samples[0], no_rates, no_attitude], [no_torque, samples[1], no_attitude],
-                 [no_torque, no_rates, samples[2]]] if is_apart else [samples]
-        lines += [','.join([time, *part]) for part in parts]
+        samples = [','.join(map(repr, values[row].tolist()) if row % step == 0 else
+                            values.shape[1] * [blank])
+                   for values, step in ((TORQUES, 1), (RATES, 2), (ATTITUDE, 3))]
+        blanks = [','.join(count * [blank]) for count in (3, 3, 4)]
+        parts = [[*blanks[:k], sample, *blanks[k + 1:]] for k, sample in enumerate(samples)]
+        lines += [','.join([time, *part]) for part in (parts if is_apart else [samples])]
     path = tmp_path / 'it.csv'
     path.write_text('\n'.join(lines))
-    status, _, error, found = run('compare', path, '--measured', path)
-    assert (status, error) == (0, '')
-    assert {name: account['samples'] for name, account in found['accounts'].items()} == {
+    result = run('compare', path, '--measured', path)
+    is_clean(result, *BOTH)
+    assert {name: account['samples'] for name, account in result.found['accounts'].items()} == {
         'it.csv:attitude': 101, 'it.csv:rates': 151, 'torques': COUNT}
-    is_noise(found, *BOTH)
     _, shown, _, _ = run('replay', path)
     assert shown.startswith('torques       301 on /torque, over 3 s\n')
     assert 'account' not in shown
@@ -141,9 +140,7 @@ def test_columns_are_separated_as_tables_of_any_country_are(run, tmp_path, separ
         paths.append(table(tmp_path / name, heading.replace(' ', separator), *(
             [f'{quote}{cell.replace(".", point)}{quote}' for cell in column]
             for column in columns), separator=separator))
-    status, _, error, found = run('compare', paths[0], '--measured', paths[1])
-    assert (status, error) == (0, '')
-    is_noise(found, GYRO)
+    is_clean(run('compare', paths[0], '--measured', paths[1]), GYRO)
 
 
 def axes(name, unit='', names='xyz'):
@@ -219,11 +216,8 @@ def test_names_of_files_tell_what_their_axes_are(run, tmp_path):
 def test_columns_are_chosen_by_number_or_name(run, tmp_path, columns, factor):
     torques = table(tmp_path / 'torque.csv', 'A,B,C,D', TIMES, 1000.0 * TORQUES)
     gyro = table(tmp_path / 'gyro.csv', 'A,B,C,D', TIMES, RATES[:, ::-1] / factor)
-    status, _, error, found = run(
-        'compare', torques, '--measured', gyro, '--columns',
-        f'tx (mN m)=2,ty (mN m)=C,tz (mN m)=4,{columns}')
-    assert (status, error) == (0, '')
-    is_noise(found, GYRO)
+    is_clean(run('compare', torques, '--measured', gyro, '--columns',
+                 f'tx (mN m)=2,ty (mN m)=C,tz (mN m)=4,{columns}'), GYRO)
 
 
 KNOWN = '--columns: expected time (s, ms, us, ns), and qx qy qz qw or wx wy wz (rad/s, deg/s)'
