@@ -53,7 +53,7 @@ SECOND = 10 ** 9
 NEEDS = {
     'distributed': ['cluster'],
     'pyarrow': ['cluster', 'dispersions', 'ensemble', 'ensemble_folder', 'ensemble_loop',
-                'ensemble_results', 'fitted', 'identify_command', 'wheel_command'],
+                'ensemble_results', 'identify_command', 'wheel_command'],
     'zarr': ['cluster', 'ensemble', 'ensemble_folder', 'ensemble_loop', 'ensemble_results'],
     'rclpy': ['sources', *(
         path.stem.removeprefix('test_') for path in sorted(Path(__file__).parent.glob('test_*.py'))

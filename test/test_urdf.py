@@ -123,19 +123,14 @@ XACRO = FULL.replace('<joint', '<xacro:include filename="arm.xacro"/><joint')
     ('<xacro:macro xmlns:xacro="http://ros.org/wiki/xacro"/>', '',
      'URDF: expected the output of xacro, found <xacro:macro>; run xacro first'),
     (FULL, 'bodi', "URDF: expected one link 'bodi', found 'base_link', 'body'"),
-    ('<robot/>', 'body', "URDF: expected one link 'body', found none"),
     (FULL.replace('base_link', 'body'), 'body',
      "URDF: expected one link 'body', found 'body', 'body'"),
     (FULL, 'base_link',
      "URDF link 'base_link': expected an <inertial>, found none; links with <inertial>: 'body'"),
-    (robot(base_link=''), 'base_link',
-     "URDF link 'base_link': expected an <inertial>, found none; links with <inertial>: none"),
     (robot(base_link=''), '',
      'URDF: expected the name of a link, or a single body with <inertial>, found none'),
     (robot(base_link='', a=inertial(), b=inertial()), '',
-     "URDF: expected the name of a link, or a single body with <inertial>, found 'a', 'b'"),
-    (robot(body=inertial()).replace('</robot>', f'<link name="body">{inertial()}</link></robot>'),
-     '', "URDF: expected one link 'body', found 'body', 'body'")])
+     "URDF: expected the name of a link, or a single body with <inertial>, found 'a', 'b'")])
 def test_what_is_no_link_with_an_inertia_is_refused(text, link, message):
     with pytest.raises(ValueError, match=f'^{re.escape(message)}$'):
         RigidBody.from_urdf(text, link)
@@ -143,17 +138,14 @@ def test_what_is_no_link_with_an_inertia_is_refused(text, link, message):
 
 @pytest.mark.parametrize(('text', 'message'), [
     ('<inertial/>', 'ixx: expected a finite number, found nothing'),
-    *((inertial(**{name: None}), f'{name}: expected a finite number, found nothing')
-      for name in DIGITS),
+    (inertial(iyz=None), 'iyz: expected a finite number, found nothing'),
     (inertial(ixx='0,1'), "ixx: expected a finite number, found '0,1'"),
-    (inertial(ixx='0.1 0.2'), "ixx: expected a finite number, found '0.1 0.2'"),
     (inertial(ixy='nan'), "ixy: expected a finite number, found 'nan'"),
     (inertial(izz='-INF'), "izz: expected a finite number, found '-INF'"),
     (inertial(izz='1_0'), "izz: expected a finite number, found '1_0'"),
     (inertial(ixz='\u0661'), "ixz: expected a finite number, found '\u0661'"),
     (inertial(izz='a&#10;b'), r"izz: expected a finite number, found 'a\nb'"),
     (inertial('<origin rpy="0 0"/>'), "rpy: expected 3 finite numbers, found '0 0'"),
-    (inertial('<origin rpy="0 0 9 deg"/>'), "rpy: expected 3 finite numbers, found '0 0 9 deg'"),
     (inertial('<origin xyz="0 0 inf"/>'), "xyz: expected 3 finite numbers, found '0 0 inf'"),
     (inertial('<origin rpy="0 0 ${pi}"/>'), "rpy: expected 3 finite numbers, found '0 0 ${pi}'"
      '; run xacro first'),
@@ -223,12 +215,9 @@ def test_fixed_links_have_the_inertia_of_all_their_point_masses(seed):
                                 for k in welded if k in parts])
     expected = RigidBody.from_point_masses(masses, positions)
     for k in welded:  # moving the root changes only the axes
-        found, axes = RigidBody.from_urdf(url, f'l{k}'), turns[k].as_matrix()
-        np.testing.assert_allclose(axes @ found.inertia @ axes.T, expected.inertia, rtol=0,
+        found, axes = RigidBody.from_urdf(url, f'l{k}').inertia, turns[k].as_matrix()
+        np.testing.assert_allclose(axes @ found @ axes.T, expected.inertia, rtol=0,
                                    atol=8e-15 * expected.principal_moments[2])
-        frame = urdf.fixed_frames(url, f'l{k}')['l0']
-        np.testing.assert_allclose(axes @ frame.position, -masses @ positions / masses.sum(),
-                                   rtol=0, atol=2e-14)
 
 
 def test_a_far_origin_costs_no_digits():
@@ -244,8 +233,7 @@ def test_a_far_origin_costs_no_digits():
 def test_welded_masses_on_a_line_are_no_body(seed):
     random = np.random.default_rng(seed)
     line, angles = random.normal(size=3), random.uniform(-7.0, 7.0, 3)
-    url = robots.robot(fixed('a', 'b', line, angles),
-                       fixed('a', 'c', -2.5 * line), body='a',
+    url = robots.robot(fixed('a', 'b', line, angles), fixed('a', 'c', -2.5 * line), body='a',
                        inertials=dict.fromkeys('abc', part(0.7, rpy=(0.1, 0.2, 0.3))))
     with pytest.raises(ValueError, match="^URDF link 'a': inertia: expected a positive definite"):
         RigidBody.from_urdf(url)
@@ -316,9 +304,6 @@ def test_a_single_mass_is_not_read_and_turns_with_the_link():
      "'base': inertia: expected moments that fit a double, found larger ones"),
     (quadrotor().replace('xyz="0.0 0.0 -0.1"', 'xyz="0.0 -0.1"'),
      "'battery': URDF joint 'to_battery': xyz: expected 3 finite numbers, found '0.0 -0.1'"),
-    (quadrotor([('weld', *QUADROTOR[0][1:]), *QUADROTOR[1:]]),
-     "'battery': URDF joint 'to_battery': type: expected one of fixed, revolute, continuous, "
-     "prismatic, floating, planar, found 'weld'"),
     (quadrotor([*QUADROTOR, fixed('imu', 'label'), fixed('base', 'label')]),
      "'battery': the joints between it and 'base' form a closed loop")])
 def test_a_mass_that_cannot_be_welded_is_rejected_in_one_line_with_its_link(url, message):
