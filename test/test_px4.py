@@ -16,12 +16,14 @@
 
 from functools import partial
 import json
+from types import SimpleNamespace
 
 import bags
+from measurements import write_scene
 import numpy as np
 import px4
 import pytest
-from rigid_body_ros import messages, recording, scene
+from rigid_body_ros import messages, recording, scene, State
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.live.events import RejectedError
@@ -52,12 +54,7 @@ def logged(path, truth, gains=1.0, noise=(2e-3, 5e-3)):
 
 
 def scene_of(path, inertia=INERTIA):
-    names = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
-    rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
-    path.write_text('\n'.join(['/**:', '  ros__parameters:', *(
-        f'    inertia.{name}: {float(inertia[row, column])!r}'
-        for name, row, column in zip(names, rows, columns))]))
-    return path
+    return str(write_scene(path, SimpleNamespace(inertia=inertia, start=State())))
 
 
 @pytest.mark.slow
@@ -124,7 +121,7 @@ def test_a_time_after_the_last_of_ros_is_one_line(tmp_path):
 def test_a_log_without_its_reader_is_one_line(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(main.sys.modules, 'pyulog', None)
     path = px4.write(tmp_path / 'log.ulg', {'vehicle_attitude': []})
-    assert main.attitude_replay([str(path), '--scene', str(scene_of(tmp_path / 's.yaml'))]) == 2
+    assert main.attitude_replay([str(path), '--scene', scene_of(tmp_path / 's.yaml')]) == 2
     assert capsys.readouterr().err.splitlines()[-1] == (
         "attitude_replay: error: Python module 'pyulog' is not installed; "
         'run python3 -m pip install pyulog')
@@ -137,14 +134,13 @@ RATES = [(1000 * k, (0.1 * k, 0.2, -0.3 * k)) for k in range(1, 6)]
 def test_a_log_from_before_the_topics_of_today(tmp_path):
     path = px4.write(tmp_path / 'log.ulg', {'actuator_controls_0': CONTROLS,
                                             'sensor_combined': RATES})
-    torques = recording.read(path)
+    torques, rates = recording.read(path), read_measured(path, 'sensor_combined')
     assert torques.topic == 'actuator_controls_0'
     expected = np.array([row[2] for row in CONTROLS], np.float32)
     np.testing.assert_array_equal(torques.values, np.pad(expected, ((0, 0), (3, 0))))
-    np.testing.assert_array_equal(torques.stamps_ns, 10 ** 6 * np.arange(1, 6))
-    rates = read_measured(path, 'sensor_combined')
     np.testing.assert_array_equal(rates.angular_velocity, expected)
-    np.testing.assert_array_equal(rates.stamps_ns, 10 ** 6 * np.arange(1, 6))
+    for found in (torques, rates):
+        np.testing.assert_array_equal(found.stamps_ns, 10 ** 6 * np.arange(1, 6))
 
 
 def test_the_topics_of_today_replace_older_ones(tmp_path):
@@ -230,46 +226,43 @@ def test_another_version_of_px4_msgs_needs_its_definition(tmp_path):
         recording.read(bags.sqlite(tmp_path, sent))
 
 
-@pytest.mark.parametrize(('old', 'new', 'message'), [
-    (b'float32[3] xyz', b'float64[3] xyz', 'expected float32.3. xyz in the definition of px4_msgs/'
-     'msg/VehicleTorqueSetpoint, found none'),
-    (b'float32[3] xyz', b'string xyz_name', 'expected float32.3. xyz in the definition'),
-    (b'float32[3] xyz', b'float32[3] xyz\nstring text', 'expected fields of fixed sizes, found '
-     ".string text'"),
-    (b'float32[3] xyz', b'float32[3] xyz\nuint8 s', 'message 1: expected 33 bytes that begin with '
-     '00 01, as the recording defines a px4_msgs/msg/VehicleTorqueSetpoint, found 32 bytes')])
-def test_a_definition_that_does_not_fit_is_one_line(tmp_path, monkeypatch, old, new, message):
-    monkeypatch.setattr(bags, '_schema', lambda kind, encoding: (
-        'ros2msg', px4.DEFINITIONS[kind.split('/')[-1]].encode().replace(old, new)))
-    path = bags.mcap(tmp_path, px4.sent('/torque', 'VehicleTorqueSetpoint', TIMES,
-                                        xyz=NUMBERS[:, :3]))
+SETPOINTS = px4.sent('/torque', 'VehicleTorqueSetpoint', TIMES, xyz=NUMBERS[:, :3])
+
+
+@pytest.mark.parametrize(('new', 'message'), [
+    ('float64[3] xyz', 'expected float32.3. xyz in the definition of px4_msgs/msg/'
+     'VehicleTorqueSetpoint, found none'),
+    ('string xyz_name', 'expected float32.3. xyz in the definition'),
+    ('float32[3] xyz\nstring text', "expected fields of fixed sizes, found .string text'"),
+    ('float32[3] xyz\nuint8 s', 'message 1: expected 33 bytes that begin with 00 01, as the '
+     'recording defines a px4_msgs/msg/VehicleTorqueSetpoint, found 32 bytes')])
+def test_a_definition_that_does_not_fit_is_one_line(tmp_path, monkeypatch, new, message):
+    monkeypatch.setattr(bags, '_schema', lambda kind, encoding: ('ros2msg', px4.DEFINITIONS[
+        kind.split('/')[-1]].replace('float32[3] xyz', new).encode()))
     with pytest.raises(InputError, match=message) as raised:
-        recording.read(path)
+        recording.read(bags.mcap(tmp_path, SETPOINTS))
     assert '\n' not in str(raised.value)
 
 
 def test_a_message_in_another_encoding_is_one_line(tmp_path):
-    path = bags.mcap(tmp_path, px4.sent('/torque', 'VehicleTorqueSetpoint', TIMES,
-                                        xyz=NUMBERS[:, :3]), cdr=bags.big_endian)
     with pytest.raises(InputError, match='/torque: message 1: .* found 32 bytes that begin with '
                        '00 00'):
-        recording.read(path)
+        recording.read(bags.mcap(tmp_path, SETPOINTS, cdr=bags.big_endian))
 
 
 @pytest.mark.parametrize(('topic', 'count'), [('/fmu/in/vehicle_torque_setpoint', 1),
                                               ('/torque', 0)])
 def test_normalized_torques_in_a_recording_are_a_warning(tmp_path, capsys, topic, count):
     path = bags.mcap(tmp_path, MESSAGES + bags.traffic(bags.torques(8)[6:]))
-    assert main.attitude_replay([str(path), '--scene', str(scene_of(tmp_path / 's.yaml')),
-                                 '--topic', topic]) == 0
+    assert main.attitude_replay([str(path), '--scene', scene_of(tmp_path / 's.yaml'), '--topic',
+                                 topic]) == 0
     assert capsys.readouterr().err.count(
         f'{path}: the torques of PX4 are normalized, not in N m') == count
 
 
 def test_a_torque_that_arrives_live_has_its_time_of_publication():
-    message = px4.sent('/torque', 'VehicleTorqueSetpoint', TIMES, xyz=NUMBERS[:, :3])[2]
     kind = messages.PX4_TYPES['VehicleTorqueSetpoint']
-    torque = messages.WRENCH.decode(wrench_of(kind, message.cdr()))
+    torque = messages.WRENCH.decode(wrench_of(kind, SETPOINTS[2].cdr()))
     assert (torque.stamp_ns, torque.frame_id) == (PUBLISHED[2], '')
     np.testing.assert_array_equal(torque.values, [0.0, 0.0, 0.0, *NUMBERS[2, :3]])
 
@@ -299,9 +292,10 @@ def test_a_vector_is_a_torque_only_if_it_is_named(tmp_path):
 @pytest.mark.nightly
 def test_the_gains_of_normalized_torques(tmp_path, capsys):
     path = logged(tmp_path / 'log.ulg', Truth(), GAINS)
-    out, arguments = tmp_path / 'out.json', [str(path), '--scene', str(scene_of(
-        tmp_path / 'scene.yaml')), '--topic', 'vehicle_torque_setpoint', '--measured',
-        'vehicle_attitude', '--measured', 'vehicle_angular_velocity', '--json']
+    out, arguments = tmp_path / 'out.json', [
+        str(path), '--scene', scene_of(tmp_path / 'scene.yaml'), '--topic',
+        'vehicle_torque_setpoint', '--measured', 'vehicle_attitude', '--measured',
+        'vehicle_angular_velocity', '--json']
     assert main.attitude_identify([*arguments, str(out), '--estimate', 'start,torque_gains']) == 0
     estimates = json.loads(out.read_text())['estimates']
     for axis, gain in zip('xyz', GAINS):
@@ -316,24 +310,21 @@ def test_the_gains_of_normalized_torques(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_log_is_replayed_and_compared(tmp_path, capsys):
-    truth = Truth()
-    path, fitted = logged(tmp_path / 'log.ulg', truth), tmp_path / 'fitted.yaml'
+    path, fitted, motion = logged(tmp_path / 'log.ulg', Truth()), str(tmp_path / 'fitted.yaml'), \
+        str(tmp_path / 'motion.mcap')
     topics = ['--topic', 'vehicle_torque_setpoint']
     measured = [*topics, '--measured', 'vehicle_attitude']
     guess = scene_of(tmp_path / 'guess.yaml', 1.2 * np.diag(np.diag(INERTIA)))
-    assert main.attitude_identify([str(path), '--scene', str(guess), *measured, '-o',
-                                   str(fitted)]) == 0
+    assert main.attitude_identify([str(path), '--scene', guess, *measured, '-o', fitted]) == 0
     np.testing.assert_allclose(scene.load(fitted).body.inertia, INERTIA, atol=3e-4)
-    assert main.attitude_compare([str(path), '--scene', str(fitted), *measured, '--check']) == 0
-    motion = tmp_path / 'motion.mcap'
-    assert main.attitude_replay([str(path), '--scene', str(fitted), *topics, '-o', str(motion),
-                                 '--rate', '50']) == 0
+    assert main.attitude_replay([str(path), '--scene', fitted, *topics, '-o', motion, '--rate',
+                                 '50']) == 0
     assert len(read_measured(motion, '/attitude')) == 1001
-    assert main.attitude_compare([str(path), '--scene', str(fitted), *measured, '--motion',
-                                  str(motion)]) == 0
+    for more in (['--check'], ['--motion', motion]):
+        assert main.attitude_compare([str(path), '--scene', fitted, *measured, *more]) == 0
     vary = tmp_path / 'vary.yaml'
     vary.write_text('torque_gain: {normal: 0.03}')
-    assert main.attitude_ensemble(['--scene', str(fitted), *topics, '--recording', str(path),
+    assert main.attitude_ensemble(['--scene', fitted, *topics, '--recording', str(path),
                                    '--vary', str(vary), '--runs', '1', '-o',
                                    str(tmp_path / 'runs')]) == 0
     assert capsys.readouterr().err.count('normalized') == 5
