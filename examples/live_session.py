@@ -90,8 +90,8 @@ class LiveSession:
 
     """
 
-    #: The topic on which `publish` publishes.
-    topic = 'torque'
+    #: The name of the node, and the topic on which `publish` publishes.
+    name, topic = NODE, 'torque'
     #: s; how long `wait_until` receives messages before it checks the condition again.
     pause = 0.02
 
@@ -186,11 +186,15 @@ class LiveSession:
         """Call the service ~/reset and return its response."""
         return self._result(self._reset.call_async(Trigger.Request()))
 
+    def status(self, name):
+        """Return the latest DiagnosticStatus with this name."""
+        self.wait_until(lambda: self.diagnostics, 'diagnostics')
+        return next(status for array in reversed(self.diagnostics) for status in array.status
+                    if status.name == f'/{self.name}: {name}')
+
     def diagnosis(self, name):
         """Return the values, level and message of the latest status with this name."""
-        self.wait_until(lambda: self.diagnostics, 'diagnostics')
-        status = next(status for array in reversed(self.diagnostics) for status in array.status
-                      if status.name == f'/{NODE}: {name}')
+        status = self.status(name)
         values = {pair.key: int(pair.value) for pair in status.values if pair.value.isdigit()}
         return values, int.from_bytes(status.level, 'little'), status.message
 

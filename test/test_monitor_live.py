@@ -20,8 +20,8 @@ import time
 
 from conftest import at_night, SECOND
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
-from live import PATIENCE, Session
+from geometry_msgs.msg import Vector3Stamped
+from live import decoded, PATIENCE, Session
 from live_session import DIAGNOSTICS
 import monitor as campaign
 import numpy as np
@@ -33,6 +33,7 @@ from rigid_body_ros.commands import main
 from rigid_body_ros.inference.monitor import Monitor, settings_of
 from rigid_body_ros.node.attitude_monitor import AttitudeMonitor
 from rigid_body_ros.node.intake import DrainCallback
+from rigid_body_ros.node.open_loop import message_type
 from rigid_body_ros.recording import Writer
 from rigid_body_ros.recording.quantities import of_messages
 from rosgraph_msgs.msg import Clock
@@ -40,12 +41,13 @@ from sensor_msgs.msg import Imu
 import yaml
 
 pytestmark = pytest.mark.ros
-OK, ERROR = b'\x00', b'\x02'
+OK, ERROR = 0, 2
 BEGIN_NS = 1000 * SECOND
 #: Simulated time per time. If it were ten times as fast as real time, it might count as a jump.
 FASTER = 6
-TOPICS = {'/torque': (WrenchStamped, messages.WRENCH), '/mocap': (QuaternionStamped,
-          messages.QUATERNION), '/gyro': (Vector3Stamped, messages.VECTOR3)}
+TOPICS = {'/torque': messages.WRENCH, '/mocap': messages.QUATERNION, '/gyro': messages.VECTOR3}
+#: The topics of the errors.
+ATTITUDE, RATE = (f'/attitude_monitor/{name}_error' for name in ('attitude', 'rate'))
 #: The names of these inputs in diagnostics.
 NAMES = 'torques', 'measured /mocap', 'measured /gyro'
 MEASURED = {'measured': ['/mocap', '/gyro'], 'window': 2.0,
@@ -56,7 +58,7 @@ def stream(seconds, **wrong):
     """Return stamps, topics and messages, sorted by stamp."""
     found = []
     for piece in campaign.pieces(4, seconds, piece=min(seconds, 60), **wrong):
-        for (topic, (_, kind)), (times_ns, values) in zip(TOPICS.items(), piece):
+        for (topic, kind), (times_ns, values) in zip(TOPICS.items(), piece):
             made = messages.wrench if topic == '/torque' else kind.encode
             frame_id = 'world' if topic == '/mocap' else 'base_link'
             found += [(stamp_ns, topic, made(stamp_ns, frame_id, one)) for stamp_ns, one in zip(
@@ -71,15 +73,15 @@ def between(found, begin, end=np.inf):
 
 def shifted(found, shift_ns):
     """Return messages with shifted stamps."""
-    return [(stamp_ns + shift_ns, topic, TOPICS[topic][1].encode(
-        stamp_ns + shift_ns, '', TOPICS[topic][1].decode(data).values))
+    return [(stamp_ns + shift_ns, topic, TOPICS[topic].encode(
+        stamp_ns + shift_ns, '', TOPICS[topic].decode(data).values))
         for stamp_ns, topic, data in found]
 
 
 class Monitored(Session):
     """A session with a monitor, and what it publishes."""
 
-    kind = AttitudeMonitor
+    kind, name = AttitudeMonitor, 'attitude_monitor'
 
     def __init__(self, folder, domain, **parameters):
         entries = dict(zip(('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'),
@@ -94,18 +96,16 @@ class Monitored(Session):
         self.scene = scene.load(path)
 
     def _connect(self):
-        self.errors, self.now_ns = {'attitude_error': [], 'rate_error': []}, BEGIN_NS
-        for name, errors in self.errors.items():
-            self.node.create_subscription(Vector3Stamped, f'/attitude_monitor/{name}',
-                                          errors.append, 1000, raw=True)
+        self.record(ATTITUDE, messages.VECTOR3, 1000)
+        self.record(RATE, messages.VECTOR3, 1000)
         self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self.diagnostics.append, 100)
-        self.clock = self.node.create_publisher(Clock, '/clock', 10)
+        self._clock = self.node.create_publisher(Clock, '/clock', 10)
         self.connect()
 
     def connect(self):
         """Create the publishers of all inputs, and wait until the monitor subscribes."""
-        self.publishers = {topic: self.node.create_publisher(kind, topic, 10_000)
-                           for topic, (kind, _) in TOPICS.items()}
+        self.publishers = {topic: self.node.create_publisher(
+            message_type(topic, kind.name), topic, 10_000) for topic, kind in TOPICS.items()}
         self.wait_until(lambda: all(one.get_subscription_count()
                                     for one in self.publishers.values()), 'the subscriptions')
 
@@ -120,40 +120,29 @@ class Monitored(Session):
         self.set_clock(found[-1][0])
 
     def wait_for_windows(self, count):
-        self.wait_until(lambda: len(self.errors['rate_error']) >= count, 'windows')
+        self.wait_until(lambda: len(self.received[RATE]) >= count, 'windows')
 
     def wait_for(self, name, text):
         """Wait for a text in the status of an input, or of the model."""
-        self.wait_until(lambda: text in self.status(name).message, text)
+        self.wait_until(lambda: text in self.diagnosis(name)[2], text)
 
     def wait_for_jumps(self, count):
         self.wait_until(lambda: self.values('motion')['clock jumps'] == count, 'jumps')
 
-    def set_clock(self, stamp_ns):
-        clock, self.now_ns = Clock(), stamp_ns
-        clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, SECOND)
-        self.clock.publish(clock)
-
-    def status(self, name):
-        """Return the latest status with this name."""
-        self.wait_until(lambda: self.diagnostics, 'diagnostics')
-        return next(status for array in reversed(self.diagnostics) for status in array.status
-                    if status.name == f'/attitude_monitor: {name}')
-
     def values(self, name):
-        return {pair.key: int(pair.value) for pair in self.status(name).values
-                if pair.value.isdigit()}
+        return self.diagnosis(name)[0]
 
     def check_levels(self):
         """Check that the model has never been rejected."""
-        assert ERROR not in {status.level for array in self.diagnostics for status in array.status
-                             if status.name.endswith(': model')}
+        assert bytes([ERROR]) not in {status.level for array in self.diagnostics
+                                      for status in array.status
+                                      if status.name.endswith(': model')}
 
 
 def compared(folder, found):
     """Return the result of attitude_compare for a recording of the same messages."""
     with Writer(folder / 'flight.mcap') as writer:
-        for topic, (_, kind) in TOPICS.items():
+        for topic, kind in TOPICS.items():
             writer.add_topic(topic, kind)
         for stamp_ns, topic, data in found:
             writer.write(topic, stamp_ns, data)
@@ -168,7 +157,7 @@ def expected(session, found):
     """Return the result of a monitor without ROS for the same messages."""
     monitor = Monitor(session.scene.problem(), settings_of(session.scene.values),
                       session.scene.actuators or ())
-    for topic, (_, kind) in TOPICS.items():
+    for topic, kind in TOPICS.items():
         stamps_ns = np.array([stamp_ns for stamp_ns, name, _ in found if name == topic])
         values = np.array([kind.decode(data).values for _, name, data in found if name == topic])
         if topic == '/torque':
@@ -192,9 +181,8 @@ def test_a_right_model_is_explained_with_the_bits_of_the_offline_twin(tmp_path, 
         session.wait_for_windows(len(twin))
         rejected = {name: session.values(name)['rejected: late'] for name in NAMES}
         assert not any(rejected.values()), rejected
-        for name in ('attitude', 'rate'):
-            published = [messages.VECTOR3.decode(data)
-                         for data in session.errors[f'{name}_error']]
+        for topic, name in ((ATTITUDE, 'attitude'), (RATE, 'rate')):
+            published = decoded(session, topic)
             assert [one.stamp_ns for one in published] == [one.error.end_ns for one in twin]
             np.testing.assert_array_equal([one.values for one in published],
                                           [getattr(one.error, name) for one in twin])
@@ -203,7 +191,7 @@ def test_a_right_model_is_explained_with_the_bits_of_the_offline_twin(tmp_path, 
             one.values.tolist() for one in published]
         if not actuator:
             session.wait_for('model', 'the model explains')
-            assert session.status('model').level == OK
+            assert session.diagnosis('model')[1] == OK
 
 
 def test_an_imu_as_people_send_it_is_judged_or_named(tmp_path, domain):
@@ -232,8 +220,8 @@ def test_a_wrong_torque_is_found_and_the_check_goes_on_without_a_sensor(tmp_path
     wrong = stream(60, **campaign.ERRORS['torque of 1 mN m about x'])
     with Monitored(tmp_path, domain) as session:
         session.play(between(wrong, 0, 30))
-        session.wait_until(lambda: session.status('model').level == ERROR, 'an alarm')
-        assert 'sigma' in session.status('model').message
+        session.wait_until(lambda: session.diagnosis('model')[1] == ERROR, 'an alarm')
+        assert 'sigma' in session.diagnosis('model')[2]
         session.wait_for('model', 'first suspect: torque_bias')
         values = {pair.key: pair.value for pair in session.status('model').values}
         assert values['first suspect'].startswith('torque_bias (')
@@ -242,8 +230,8 @@ def test_a_wrong_torque_is_found_and_the_check_goes_on_without_a_sensor(tmp_path
             stamp_ns, 'nowhere', (0.0, 0.0, 0.0, 1.0)) if topic == '/mocap' else data)
             for stamp_ns, topic, data in between(wrong, 30)])
         session.wait_for('measured /mocap', 'nothing for')
-        session.wait_until(lambda: len(session.errors['rate_error'])
-                           > len(session.errors['attitude_error']), 'windows without the mocap')
+        session.wait_until(lambda: len(session.received[RATE])
+                           > len(session.received[ATTITUDE]), 'windows without the mocap')
         session.diagnostics.clear()
         session.restart()
         session.wait_for('model', 'no window yet')
@@ -261,7 +249,7 @@ def test_what_falls_silent_is_named_and_is_no_error_of_the_model(tmp_path, domai
             session.wait_for(name, 'nothing for')
         assert session.values('model')['windows skipped: no torque for longer than stale_after']
         session.play(between(found, 48))
-        session.wait_until(lambda: session.status('model').level == OK, 'the end of the silence')
+        session.wait_until(lambda: session.diagnosis('model')[1] == OK, 'the end of the silence')
         session.check_levels()
         # Publish only the time from here on.
         session.set_clock(found[-1][0] + 20 * SECOND)
@@ -290,7 +278,7 @@ def test_after_a_jump_of_simulated_time_the_check_begins_again(tmp_path, domain)
     with Monitored(tmp_path, domain, on_time_jump='reset') as session:
         session.play(found)
         for number, begin_ns in enumerate((BEGIN_NS, BEGIN_NS + 1000 * SECOND), 1):
-            (_, topic, late), count = found[-1], len(session.errors['rate_error'])
+            (_, topic, late), count = found[-1], len(session.received[RATE])
             found = shifted(found, begin_ns - found[0][0])
             session.set_clock(begin_ns)
             session.wait_for_jumps(number)
@@ -322,7 +310,7 @@ def test_steps_of_the_wall_clock_are_no_error_of_the_model(tmp_path, domain, mon
             session.spin((stamp_ns - time.time_ns()) / SECOND)
             (_, _, data), = shifted([(stamp_ns, topic, data)], shift_ns)
             session.publishers[topic].publish(data)
-            if len(session.errors['rate_error']) >= windows:
+            if len(session.received[RATE]) >= windows:
                 if not steps:
                     break
                 shift_ns += round(steps.pop(0) * SECOND)
@@ -342,7 +330,7 @@ def test_restarts_of_the_sources_and_of_the_monitor_are_no_error_of_the_model(tm
         session.connect()
         session.play(between(found, 18, 33))
         session.restart()
-        count = len(session.errors['rate_error'])
+        count = len(session.received[RATE])
         # As if the monitor discovers the publisher of torques last.
         session.play([message for message in between(found, 33.5)
                       if message[1] != '/torque' or message[0] > BEGIN_NS + 37 * SECOND])

@@ -18,19 +18,7 @@ import json
 
 from conftest import collect_ignore
 from mcap.writer import Writer
-from measurements import (
-    header,
-    messages_of,
-    Quaternion,
-    torque_messages,
-    transform,
-    truth,
-    Vector3,
-    Vector3Stamped,
-    WrenchStamped,
-    write,
-    write_scene,
-)
+import measurements
 import pytest
 from rigid_body_ros import messages, recording
 from rigid_body_ros.commands import main
@@ -55,11 +43,11 @@ def printed(capfdbinary):
 @pytest.fixture
 def flight(tmp_path):
     """Return a scene and a recording whose name and topics are hostile."""
-    tumble = truth(seconds=3.0, rate=50.0)
-    scene = write_scene(tmp_path / f'{FILE}.yaml', tumble)
-    path = write(tmp_path / f'{FILE}.mcap',
-                 **{NAME: torque_messages(tumble),
-                    f'imu{NAME}': messages_of('Imu', tumble.measured(1e-3, 2e-3))})
+    tumble = measurements.truth(seconds=3.0, rate=50.0)
+    scene = measurements.write_scene(tmp_path / f'{FILE}.yaml', tumble)
+    path = measurements.write(tmp_path / f'{FILE}.mcap', **{
+        NAME: measurements.torque_messages(tumble),
+        f'imu{NAME}': measurements.messages_of('Imu', tumble.measured(1e-3, 2e-3))})
     return scene, path
 
 
@@ -150,15 +138,14 @@ def with_type(path):
 
 def with_frames(path, kind):
     """Write a recording with hostile frame names."""
-    tumble = truth(seconds=1.0, rate=50.0)
-    frame = NAME if kind == 'torque' else 'base_link'
-    torques = [(stamp, WrenchStamped(header(stamp, frame), message.wrench))
-               for stamp, message in torque_messages(tumble)]
+    tumble = measurements.truth(seconds=1.0, rate=50.0)
+    torques = measurements.torque_messages(tumble, NAME if kind == 'torque' else 'base_link')
     sensor = tumble.measured()
-    measured = [(stamp, transform(stamp, Quaternion(*q), NAME, NAME) if kind == 'transform' else
-                 Vector3Stamped(header(stamp, NAME), Vector3(*w))) for stamp, q, w in zip(
-        sensor.stamps_ns.tolist(), sensor.attitude.tolist(), sensor.angular_velocity.tolist())]
-    write(path, torque=torques, it=measured)
+    measured = measurements.messages_of('Vector3Stamped', sensor, frame=NAME)
+    if kind == 'transform':
+        measured = [(stamp, measurements.transform(stamp, measurements.Quaternion(*q), NAME, NAME))
+                    for stamp, q in zip(sensor.stamps_ns.tolist(), sensor.attitude.tolist())]
+    measurements.write(path, torque=torques, it=measured)
 
 
 def with_keys(folder, scene, more):
@@ -208,7 +195,7 @@ def test_arguments(capfdbinary, command, required, arguments):
 
 def test_the_copied_messages_keep_the_name_of_their_topic(flight, tmp_path):
     scene, path = flight
-    torques = [*torque_messages(truth(seconds=1.0, rate=50.0))]
-    write(path, **{NAME: torques})
+    torques = [*measurements.torque_messages(measurements.truth(seconds=1.0, rate=50.0))]
+    measurements.write(path, **{NAME: torques})
     assert run('attitude_replay', scene, path, '-o', tmp_path / 'out.mcap', '--also', 'input') == 0
     assert len(recording.read(tmp_path / 'out.mcap', TOPIC)) == len(torques)

@@ -18,26 +18,13 @@ from collections import Counter
 from dataclasses import replace
 import math
 import time
+from unittest.mock import Mock
 
 from conftest import CONFIG, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, scene, State, TorqueLog
-from rigid_body_ros.live import torque_queue
-from rigid_body_ros.live.events import (
-    APPLIED,
-    CLIPPED,
-    ENDED,
-    FUTURE,
-    LATE,
-    MISSED,
-    NO_STATE,
-    NOT_COMPUTABLE,
-    OVERLOAD,
-    RejectedError,
-    REPLACED,
-    TOO_FAST,
-)
+from rigid_body_ros.live import events, torque_queue
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.run import Run
 from rigid_body_ros.live.torque_queue import Queued, TorqueQueue
@@ -146,7 +133,7 @@ def test_a_state_is_committed_once_when_no_torque_can_change_it_any_more():
     assert [one.time_ns for one in live.states] \
         == [START.time_ns, *sorted(one.stamp_ns for one in sent)]
     check_motion(live.states, sent)
-    assert live.counts == {(APPLIED, 0): 100}
+    assert live.counts == {(events.APPLIED, 0): 100}
     assert not live.events
 
 
@@ -194,9 +181,9 @@ def test_a_torque_that_is_too_old_is_rejected(history, oldest_ns):
     assert live.send(2.0)
     assert not live.send(2.0 - (oldest_ns + 1) * 1e-9)
     assert live.send(2.0 - oldest_ns * 1e-9)
-    assert live.counts[LATE, 0] == 1
-    assert live.counts[APPLIED, 0] == 2
-    with pytest.raises(RejectedError, match='older than the newest torque'):
+    assert live.counts[events.LATE, 0] == 1
+    assert live.counts[events.APPLIED, 0] == 2
+    with pytest.raises(events.RejectedError, match='older than the newest torque'):
         live.run.torques_since(ns(2.0) - oldest_ns - 1)
 
 
@@ -206,8 +193,8 @@ def test_a_motion_that_is_too_fast_is_reported_and_torques_after_it_are_rejected
     assert live.send(3.0)
     assert live.send(5.0)  # makes the state at 3 s final
     assert not live.send(7.0)
-    assert live.events == {NOT_COMPUTABLE: 1}
-    assert live.counts == {(APPLIED, 0): 3, (NO_STATE, 0): 1}
+    assert live.events == {events.NOT_COMPUTABLE: 1}
+    assert live.counts == {(events.APPLIED, 0): 3, (events.NO_STATE, 0): 1}
     assert [one.time_ns for one in live.states] == [ns(0.0), ns(1.0)]
     assert live.run.last_state(ns(3.0)) is None
     assert live.run.snapshot(ns(3.0), math.inf) is None
@@ -219,7 +206,7 @@ def test_an_epoch_that_has_no_time_to_end_says_what_is_missing():
         live.send(*one)
     committed = len(live.states)
     live.run.end(until=time.monotonic())
-    assert live.events == {MISSED: 1}
+    assert live.events == {events.MISSED: 1}
     assert committed <= len(live.states) < 21
     assert live.run.epoch is None
 
@@ -243,7 +230,7 @@ def test_torques_of_an_earlier_epoch_go_on_in_the_next():
     # The first torque with the stamp of a carried-over one is no mistake of its publisher.
     for _ in range(2):
         assert live.send(1.0, (0.0, 0.0, -0.03), 1)
-    assert live.counts[REPLACED, 1] == 1
+    assert live.counts[events.REPLACED, 1] == 1
     live.run.end()
     check_motion(live.states, sent[1:2], [sent[2], at(1.0, (0.0, 0.0, -0.03), 1)])
 
@@ -258,10 +245,10 @@ def test_equal_stamps_replace_each_other_within_a_source_only():
         assert live.send(0.5, values, source)
         assert live.run.epoch.has_torque_at(ns(0.5), source)
         assert not live.run.epoch.has_torque_at(ns(0.6), source)
-        assert live.counts[REPLACED, source] == 0
+        assert live.counts[events.REPLACED, source] == 0
     for values, source in given:
         assert live.send(0.5, values, source)
-        assert live.counts[REPLACED, source] == 1
+        assert live.counts[events.REPLACED, source] == 1
     found = {one.source: one.values.tolist() for one in live.run.torques_since(ns(0.5))}
     assert found == {source: list(values) for values, source in given}
     live.run.end()
@@ -276,15 +263,15 @@ def test_commands_of_wheels_are_counted_one_by_one():
     for seconds, efforts in ((0.0, (0.003, 0.001)), (0.5, (NAN, 0.002)), (0.7, (0.009, -0.001)),
                              (0.7, (0.003, NAN)), (0.7, (NAN, -0.002))):
         assert live.run.epoch.has_torque_at(ns(seconds), COMMANDS) == (
-            live.counts[APPLIED, COMMANDS] > 2)
+            live.counts[events.APPLIED, COMMANDS] > 2)
         assert live.send(seconds, efforts, COMMANDS)
-    assert live.counts == {(APPLIED, 0): 1, (APPLIED, COMMANDS): 5, (REPLACED, COMMANDS): 2,
-                           (CLIPPED, COMMANDS): 1}
+    assert live.counts == {(events.APPLIED, 0): 1, (events.APPLIED, COMMANDS): 5,
+                           (events.REPLACED, COMMANDS): 2, (events.CLIPPED, COMMANDS): 1}
     newest = live.run.epoch.newest_of(COMMANDS)
     assert (newest.stamp_ns, newest.values.tolist()) == (ns(0.7), [0.003, -0.002])
     # rw_z is too fast from the start, so its command acts only once it slows the wheel down.
     live.run.end()
-    assert live.counts[TOO_FAST, COMMANDS] == 1
+    assert live.counts[events.TOO_FAST, COMMANDS] == 1
 
 
 def test_a_new_state_keeps_the_momentum_of_rotors_and_the_speeds_of_wheels():
@@ -350,32 +337,28 @@ def test_what_the_imu_measures_is_older_by_its_delay():
     assert Session().run.snapshot(ns(1.0), math.inf).sensed.time_ns == ns(1.0)
 
 
-class Rejections:
-    """Torques that a queue rejected, as cause and source."""
-
-    def __init__(self):
-        self.found = []
-
-    def reject(self, rejected, source):
-        self.found.append((rejected.cause, source, str(rejected)))
-
-
 def received(source, since=0.0):
     return Queued(source, b'', None, 0, since)
 
 
-def test_torques_that_waited_for_the_clock_are_tried_again_first():
-    queue = TorqueQueue(Rejections(), is_patient=False)
+@pytest.fixture
+def waiting():
+    """Return a queue with two torques, and two that wait for the clock."""
+    queue = TorqueQueue(Mock(), is_patient=False)
     assert not queue
-    queue.put(received(0, 0.0))
-    queue.hold(received(1, 1.0), FUTURE)
-    queue.put(received(2, 2.0))
-    queue.hold(received(3, 3.0), LATE)
-    assert (len(queue), [*queue.by_source()]) == (4, [0, 2, 1, 3])
-    assert queue.pop().source == 0
-    queue.retry()
-    assert [queue.pop().source for _ in range(3)] == [1, 3, 2]
-    assert (bool(queue), len(queue)) == (False, 0)
+    queue.put(received(0))
+    queue.hold(received(1), events.FUTURE)
+    queue.put(received(2))
+    queue.hold(received(3), events.LATE)
+    return queue
+
+
+def test_torques_that_waited_for_the_clock_are_tried_again_first(waiting):
+    assert (len(waiting), [*waiting.by_source()]) == (4, [0, 2, 1, 3])
+    assert waiting.pop().source == 0
+    waiting.retry()
+    assert [waiting.pop().source for _ in range(3)] == [1, 3, 2]
+    assert (bool(waiting), len(waiting)) == (False, 0)
 
 
 @pytest.mark.slow
@@ -386,7 +369,7 @@ def test_torques_that_waited_for_the_clock_are_tried_again_first():
 def test_too_many_torques_or_a_backlog_in_real_time_is_an_overload(monkeypatch, count, waited,
                                                                    is_patient, is_full):
     monkeypatch.setattr(torque_queue.time, 'monotonic', lambda: 100.0 + waited)
-    queue = TorqueQueue(Rejections(), is_patient)
+    queue = TorqueQueue(Mock(), is_patient)
     assert queue.waiting_time == 0.0
     for _ in range(count):
         queue.put(received(0, 100.0))
@@ -394,22 +377,19 @@ def test_too_many_torques_or_a_backlog_in_real_time_is_an_overload(monkeypatch, 
     if not is_full:
         queue.check_room()
         return
-    with pytest.raises(RejectedError, match=f'{count} torques wait') as error:
+    with pytest.raises(events.RejectedError, match=f'{count} torques wait') as error:
         queue.check_room()
-    assert error.value.cause == OVERLOAD
+    assert error.value.cause == events.OVERLOAD
 
 
-@pytest.mark.parametrize(('kept', 'rejected'), [(LATE, [0, 2, 1]), (FUTURE, [0, 2, 3])])
-def test_the_end_of_an_epoch_rejects_what_waits_except_for_one_cause(kept, rejected):
-    rejections = Rejections()
-    queue = TorqueQueue(rejections, is_patient=False)
-    queue.put(received(0))
-    queue.hold(received(1), FUTURE)
-    queue.put(received(2))
-    queue.hold(received(3), LATE)
-    queue.end(kept)
-    assert [source for _, source, _ in rejections.found] == rejected
-    assert {cause for cause, _, _ in rejections.found} == {ENDED}
-    queue.retry()
-    assert queue.pop().source == (3 if kept == LATE else 1)
-    assert not len(queue)
+@pytest.mark.parametrize(('kept', 'rejected', 'left'), [
+    (events.LATE, [0, 2, 1], 3), (events.FUTURE, [0, 2, 3], 1)])
+def test_the_end_of_an_epoch_rejects_what_waits_except_for_one_cause(waiting, kept, rejected,
+                                                                     left):
+    waiting.end(kept)
+    causes, sources = zip(*(call.args for call in waiting._events.reject.call_args_list))
+    assert [*sources] == rejected
+    assert {rejection.cause for rejection in causes} == {events.ENDED}
+    waiting.retry()
+    assert waiting.pop().source == left
+    assert not len(waiting)
