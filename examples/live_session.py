@@ -263,17 +263,21 @@ class LiveSession:
         # a new client only after it has learned of everything before.
         self.call(ListParameters, 'list_parameters')
 
+    def parameters(self, *names):
+        """Return the values of parameters of the node."""
+        values = self.call(GetParameters, 'get_parameters', names=names).values
+        return [*map(parameter_value_to_python, values)]
+
     def dump_parameters(self, path):
         """Write the parameters of the node as `ros2 param dump` does."""
         names = self.call(ListParameters, 'list_parameters').result.names
-        values = self.call(GetParameters, 'get_parameters', names=names).values
         tree = {}
-        for name, value in zip(names, values):
+        for name, value in zip(names, self.parameters(*names)):
             *groups, leaf = name.split('.')
             branch = tree
             for group in groups:
                 branch = branch.setdefault(group, {})
-            branch[leaf] = parameter_value_to_python(value)
+            branch[leaf] = value
         Path(path).write_text(yaml.dump({f'/{NODE}': {'ros__parameters': tree}}))
 
     def stop(self, number=signal.SIGINT):

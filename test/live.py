@@ -22,7 +22,7 @@ from typing import NamedTuple
 from conftest import CONFIG, SECOND
 from live_session import ACCEPTED, COMMITTED, LiveSession
 import numpy as np
-from rcl_interfaces.srv import GetParameters, SetParameters
+from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -112,6 +112,31 @@ class Session(LiveSession):
         self.kinds[topic], self.received[topic] = kind, []
         self.node.create_subscription(message_type(topic, kind.name), topic,
                                       self.received[topic].append, qos, raw=True)
+
+    def hold_clock(self, now_ns, condition, what):
+        """Publish a simulated time until a condition holds."""
+        def holds():
+            self.set_clock(now_ns)
+            return condition()
+        self.wait_until(holds, what)
+
+    def start_clock(self, now_ns):
+        """Publish a time until the node begins its first epoch; before, it rejects torques."""
+        self.hold_clock(now_ns, lambda: self.received[COMMITTED], 'the first epoch')
+
+    def run_clock(self, begin_ns, end_ns, torque=None):
+        """Advance simulated time in ticks of 10 ms, with a torque every tenth of a second."""
+        for now_ns in range(begin_ns, end_ns + 1, SECOND // 100):
+            self.set_clock(now_ns)
+            self.spin(0.003)
+            if torque and now_ns % (SECOND // 10) == 0:
+                self.publish(now_ns, 'base_link', torque(now_ns))
+
+    def set_parameter(self, name, value):
+        """Set a parameter and return the result."""
+        message = Parameter(name, value=value).to_parameter_msg()
+        result, = self.call(SetParameters, 'set_parameters', parameters=[message]).results
+        return result
 
     def restart(self):
         """Destroy the node, and create another."""
@@ -243,7 +268,7 @@ def commit(live, count):
     live.wait_until(lambda: len(live.received[COMMITTED]) == count, 'all states')
 
 
-def check_late_torques(tmp_path, live, count, rate):
+def check_late(tmp_path, live, count, rate):
     """Send torques late and out of order; check that their replay has the bits of the states."""
     torques = late_torques(live.now_ns(), count, rate)
     publish_when_due(live, torques)
@@ -259,42 +284,9 @@ def check_late_torques(tmp_path, live, count, rate):
     assert run.stamps_ns[0] == scene.load(tmp_path / 'live.yaml').start.time_ns
 
 
-def hold_clock(live, now_ns, condition, what):
-    """Publish a simulated time until a condition holds."""
-    def holds():
-        live.set_clock(now_ns)
-        return condition()
-    live.wait_until(holds, what)
-
-
-def start_clock(live, now_ns):
-    """Publish a time until the node begins its first epoch; it rejects torques before that."""
-    hold_clock(live, now_ns, lambda: live.received[COMMITTED], 'the start of the first epoch')
-
-
-def run_clock(live, begin_ns, end_ns, torque=None):
-    """Advance simulated time in ticks of 10 ms, with a torque every tenth of a second."""
-    for now_ns in range(begin_ns, end_ns + 1, SECOND // 100):
-        live.set_clock(now_ns)
-        live.spin(0.003)
-        if torque and now_ns % (SECOND // 10) == 0:
-            live.publish(now_ns, 'base_link', torque(now_ns))
-
-
 def spin_until(executor, condition):
     """Execute callbacks of this process until a condition holds."""
     until = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < until
         executor.spin_once(timeout_sec=0.1)
-
-
-def get_parameters(live, *names):
-    return live.call(GetParameters, 'get_parameters', names=names).values
-
-
-def set_parameter(live, name, value):
-    """Set a parameter and return the result."""
-    message = Parameter(name, value=value).to_parameter_msg()
-    result, = live.call(SetParameters, 'set_parameters', parameters=[message]).results
-    return result

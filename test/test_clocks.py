@@ -15,18 +15,7 @@
 """Clocks that are silent, stop, or jump ahead or back, and stamps from other clocks."""
 
 from conftest import at_night, SECOND
-from live import (
-    decoded,
-    finished,
-    hold_clock,
-    options,
-    run_clock,
-    same_bits,
-    Session,
-    stamps_of,
-    start_clock,
-    TUMBLER,
-)
+from live import decoded, finished, options, same_bits, Session, stamps_of, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE
 import numpy as np
 import pytest
@@ -44,7 +33,7 @@ SIMULATED = (*RELIABLE, *options('use_sim_time:=true publish_rate:=2000.0'))
 
 def settle(live, now_ns):
     """Publish a time until the node has published a state at this time."""
-    hold_clock(live, now_ns, lambda: stamps_of(live, ATTITUDE)[-1:] == [now_ns],
+    live.hold_clock(now_ns, lambda: stamps_of(live, ATTITUDE)[-1:] == [now_ns],
                'an attitude at the time of the clock')
 
 
@@ -59,8 +48,8 @@ def test_a_clock_that_is_not_yet_valid_and_one_that_stands(tmp_path, domain):
             live.set_clock(0)  # means that there is no time yet
             live.spin(0.01)
         assert not any(live.received.values())
-        start_clock(live, 5 * SECOND)
-        run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
+        live.start_clock(5 * SECOND)
+        live.run_clock(5 * SECOND, 6 * SECOND, wobble)
         settle(live, 6 * SECOND)
         count = len(live.received[ATTITUDE])
         live.wait_until(lambda: 'it stands at 6000000000 ns' in live.diagnosis(
@@ -68,7 +57,7 @@ def test_a_clock_that_is_not_yet_valid_and_one_that_stands(tmp_path, domain):
         assert live.diagnosis('torques')[1] == 1
         assert len(live.received[ATTITUDE]) == count
         live.publish(6 * SECOND + 1, 'base_link', [0.0, 0.0, 0.05])  # is still accepted
-        run_clock(live, 6 * SECOND, 7 * SECOND, wobble)
+        live.run_clock(6 * SECOND, 7 * SECOND, wobble)
         settle(live, 7 * SECOND)
         live.wait_until(lambda: 'not advanced' not in live.diagnosis('torques')[2],
                         'the end of the warning')
@@ -86,15 +75,15 @@ def test_a_clock_that_jumps(tmp_path, domain, action, again_ns):
     begin_ns, end_ns = 100 * SECOND, 102 * SECOND
     with Session(TUMBLER, domain, *SIMULATED, *options(
             f'torque_timeout:=0.5 on_time_jump:={action}')) as live:
-        start_clock(live, begin_ns)
-        run_clock(live, begin_ns, end_ns, wobble)
+        live.start_clock(begin_ns)
+        live.run_clock(begin_ns, end_ns, wobble)
         settle(live, end_ns)
         before = decoded(live, ATTITUDE)[-1].values.tolist()
         if again_ns > end_ns:
             live.publish(again_ns, '', wobble(again_ns))  # arrives before the new clock time
         live.wait_until(lambda: end_ns in stamps_of(live, ACCEPTED),
                         'the last torque before the jump')
-        run_clock(live, again_ns, again_ns + SECOND, wobble)
+        live.run_clock(again_ns, again_ns + SECOND, wobble)
         live.dump_parameters(tmp_path / 'live.yaml')
         # Simulated time runs faster than real time, so a pause of the node may also look like a
         # jump ahead.
@@ -138,9 +127,9 @@ def test_a_given_start_time_holds_in_every_round_of_a_bag(tmp_path, domain):
     start_ns = 100 * SECOND + 12345
     with Session(TUMBLER, domain, *SIMULATED, '-p', f'start_time:={start_ns}') as live:
         rounds = []
-        start_clock(live, 99 * SECOND)
+        live.start_clock(99 * SECOND)
         for _ in range(2):
-            run_clock(live, 100 * SECOND, 102 * SECOND, wobble)
+            live.run_clock(100 * SECOND, 102 * SECOND, wobble)
             settle(live, 102 * SECOND)
             rounds.append({message.stamp_ns: message.values.tolist()
                            for message in decoded(live, COMMITTED)})
@@ -169,7 +158,7 @@ def test_torques_may_be_timed_by_their_arrival(tmp_path, domain):
 def test_torques_between_two_ticks_of_the_clock_all_have_effect(tmp_path, domain, source):
     tick_ns, count = SECOND // 10, 20
     with Session(TUMBLER, domain, *SIMULATED, '-p', f'time_source:={source}') as live:
-        start_clock(live, 5 * SECOND)
+        live.start_clock(5 * SECOND)
         for tick in range(5):
             live.set_clock(5 * SECOND + tick * tick_ns)
             for number in range(count):

@@ -19,7 +19,7 @@ import signal
 
 from conftest import SECOND
 from geometry_msgs.msg import QuaternionStamped, WrenchStamped
-from live import decoded, get_parameters, replayed, Session, TUMBLER
+from live import decoded, replayed, Session, TUMBLER
 from live_session import ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
@@ -227,7 +227,7 @@ def test_a_motion_that_is_too_fast_does_not_block_services(domain):
         live.wait_until(lambda: len(live.received[ATTITUDE]) > begun + 3, 'states that are late')
         late = decoded(live, ATTITUDE, messages.QUATERNION)[begun:]
         # The node still responds to parameter and service calls, and accepts torques.
-        assert get_parameters(live, 'solver')
+        assert live.parameters('solver')
         assert live.reset().success
         live.publish(live.now_ns(), '', [0.0, 0.0, 0.0])
         count = len(live.received[ATTITUDE])

@@ -18,28 +18,21 @@ import signal
 import time
 
 from conftest import at_night, RECORDINGS, SECOND
-from geometry_msgs.msg import WrenchStamped
 from live import (
-    check_late_torques,
+    check_late,
     decoded,
-    EVERYTHING,
     finished,
-    get_parameters,
-    hold_clock,
     options,
     PATIENT,
-    run_clock,
     Session,
-    set_parameter,
     stamps_of,
-    start_clock,
     TUMBLER,
     tumbler,
 )
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
-from rcl_interfaces.msg import ParameterEvent, ParameterType
+from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import DescribeParameters
 from rclpy.parameter import Parameter
 from rigid_body_ros import messages, recording, RigidBody, scene
@@ -55,7 +48,7 @@ pytestmark = pytest.mark.ros
 
 def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *RELIABLE, *PATIENT) as live:
-        check_late_torques(tmp_path, live, 400, rate=200)
+        check_late(tmp_path, live, 400, rate=200)
 
 
 def test_what_is_published_between_stamps_is_the_motion_at_those_times(domain):
@@ -64,11 +57,11 @@ def test_what_is_published_between_stamps_is_the_motion_at_those_times(domain):
     # The clock waits until every torque has arrived, so that no prediction lacks one.
     with Session(TUMBLER, domain, *RELIABLE, *options(
             f'use_sim_time:=true start_time:={start_ns} max_future:=11.0 history:=12.0')) as live:
-        start_clock(live, start_ns)
+        live.start_clock(start_ns)
         for stamp_ns, values in zip(torques.stamps_ns[:count].tolist(), torques.values):
             live.publish(stamp_ns, 'base_link', values[3:])
-        hold_clock(live, start_ns, lambda: len(live.torques) == count, 'all torques')
-        run_clock(live, start_ns, start_ns + 4 * SECOND)
+        live.hold_clock(start_ns, lambda: len(live.torques) == count, 'all torques')
+        live.run_clock(start_ns, start_ns + 4 * SECOND)
     published = decoded(live, ATTITUDE)
     motion = tumbler(torques.stamps_ns[:count], torques.values[:count, 3:], start_ns).propagate(
         at=stamps_of(live, ATTITUDE))
@@ -86,9 +79,9 @@ def test_parameters_have_descriptions_and_keep_the_scene(domain):
         assert first[messages.ORIENTATION].tolist() == [0.0, 0.0, 0.0, -1.0]
         assert first[messages.ANGULAR_VELOCITY].tolist() == [0.15, 2.0, -0.10]
         # An override of one topic leaves the others alone.
-        depths = get_parameters(live, *(f'qos_overrides./{topic}.publisher.depth' for topic in (
+        depths = live.parameters(*(f'qos_overrides./{topic}.publisher.depth' for topic in (
             'attitude', 'euler_angles', 'angular_velocity')))
-        assert [value.integer_value for value in depths] == [3, 10, 10]
+        assert depths == [3, 10, 10]
         descriptors = live.call(DescribeParameters, 'describe_parameters',
                                 names=list(scene.PARAMETERS)).descriptors
         for descriptor in descriptors:
@@ -100,16 +93,16 @@ def test_parameters_have_descriptions_and_keep_the_scene(domain):
         changes = {'inertia.ixx': 0.05, 'solver': 'taylor', 'start_time': 5, 'publish_rate': 1e9,
                    'use_sim_time': True, 'qos_overrides./torque.subscription.depth': 5}
         for name, value in changes.items():
-            result = set_parameter(live, name, value)
+            result = live.set_parameter(name, value)
             assert not result.successful
             assert name in result.reason
         # A change from a long to a short period takes effect at once, not after the long period.
         for value in (0.001, 20):
-            assert set_parameter(live, 'publish_rate', value).successful
+            assert live.set_parameter('publish_rate', value).successful
         count = len(live.received[ATTITUDE])
         live.wait_until(lambda: len(live.received[ATTITUDE]) > count + 10, 'the new rate')
-        rate, = get_parameters(live, 'publish_rate')
-        assert rate.type == ParameterType.PARAMETER_DOUBLE
+        rate, = live.parameters('publish_rate')
+        assert type(rate) is float
         events = []
         live.node.create_subscription(
             ParameterEvent, '/parameter_events',
@@ -127,11 +120,11 @@ def test_parameters_have_descriptions_and_keep_the_scene(domain):
 def test_the_rate_may_change_while_running(domain):
     start_ns = 100 * SECOND
     with Session(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
-        start_clock(live, start_ns)
-        run_clock(live, start_ns, start_ns + 2 * SECOND)
-        assert set_parameter(live, 'publish_rate', 10).successful
+        live.start_clock(start_ns)
+        live.run_clock(start_ns, start_ns + 2 * SECOND)
+        assert live.set_parameter('publish_rate', 10).successful
         changed = len(live.received[ATTITUDE])
-        run_clock(live, start_ns + 2 * SECOND, start_ns + 7 * SECOND)
+        live.run_clock(start_ns + 2 * SECOND, start_ns + 7 * SECOND)
     stamps = stamps_of(live, ATTITUDE)
     # Periods follow the simulated clock, which moves in steps of 10 ms.
     assert np.median(np.diff(stamps[:changed])) == SECOND // 100
@@ -246,8 +239,7 @@ def test_the_nodes_of_a_fleet_differ_in_diagnostics_and_frames(tmp_path, domain)
         assert counts['rejected: unknown frame'] == 3
         assert [torque.frame_id for torque in decoded(live, ACCEPTED)] == [
             'one/base_link', 'one/base_link', 'world']
-        prefix, = get_parameters(live, 'frame_prefix')
-        assert prefix.string_value == 'one/'
+        assert live.parameters('frame_prefix') == ['one/']
         run = finished(tmp_path, live)
         for _ in range(2):  # a second time changes nothing
             two.destroy_node()
@@ -272,18 +264,17 @@ def test_signals_end_it_cleanly(domain, number, count):
 
 def test_a_recorder_that_starts_later_gets_the_log_from_its_marker_on(domain):
     with Session(TUMBLER, domain, *RELIABLE) as live:
-        sent, received = [live.now_ns() - number for number in range(41, 0, -1)], []
+        sent = [live.now_ns() - number for number in range(41, 0, -1)]
         for stamp_ns in sent[:-1]:
             live.publish(stamp_ns, '', [1e-3, 0.0, 0.0])
         live.wait_until(lambda: len(live.torques) == 40, 'all torques')
-        live.node.create_subscription(
-            WrenchStamped, ACCEPTED, received.append, EVERYTHING, raw=True)
+        live.record(ACCEPTED, messages.WRENCH)
+        received = live.received[ACCEPTED]
         live.wait_until(lambda: len(received) == 41, 'the log')
         live.publish(sent[-1], '', [1e-3, 0.0, 0.0])
         live.wait_until(lambda: len(received) == 42, 'the next torque')
-    found = [messages.WRENCH.decode(data) for data in received]
-    assert messages.is_epoch_marker(found[0].frame_id)
-    assert [message.stamp_ns for message in found[1:]] == sent
+    assert messages.is_epoch_marker(messages.WRENCH.decode(received[0]).frame_id)
+    assert stamps_of(live, ACCEPTED) == sent
 
 
 def test_torques_sent_before_the_node_started_are_reported(domain):

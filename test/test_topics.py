@@ -16,7 +16,7 @@
 
 import time
 
-from live import Session, TUMBLER
+from live import options, PATIENCE, Session, TUMBLER
 import nodes
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
@@ -26,11 +26,10 @@ pytestmark = pytest.mark.ros
 NODE = 'attitude_node'
 #: Topics that ROS itself adds to a node.
 ROS = {'/parameter_events', '/rosout', '/clock'}
-#: s; how long to wait for the graph, which is discovered piece by piece.
-PATIENCE = 300
-
 #: Parameters of a named wheel; the topics of such wheels, and of rotors.
-NAMED = ('-p', 'wheel_names:=[rw]', '-p', 'rw.axis.x:=1.0', '-p', 'rw.inertia:=0.001')
+SOURCES = ('torque_topics:=[torque,disturbance] inertia_topic:=true '
+           'actuator.topics:=[torque] ')
+NAMED = 'wheel_names:=[rw] rw.axis.x:=1.0 rw.inertia:=0.001'
 OF_WHEELS = ('/wheel_command', '/wheel_states', f'/{NODE}/accepted_wheel_command')
 OF_ROTORS = ('/wheel_torque', '/rotor_momentum', f'/{NODE}/accepted_wheel_torque')
 
@@ -68,11 +67,7 @@ def test_the_page_lists_every_cause_of_rejection():
 
 
 @pytest.mark.parametrize(('mode', 'arguments'), [
-    ('lockstep', ()),
-    ('realtime', ('-p', 'torque_topics:=[torque, disturbance]', '-p', 'wheels:=true',
-                  '-p', 'inertia_topic:=true', '-p', 'actuator.topics:=[torque]')),
-    ('realtime', ('-p', 'torque_topics:=[torque, disturbance]', *NAMED,
-                  '-p', 'inertia_topic:=true', '-p', 'actuator.topics:=[torque]'))])
+    ('lockstep', ''), ('realtime', f'{SOURCES} wheels:=true'), ('realtime', SOURCES + NAMED)])
 def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
     published, subscribed = by_full_name(nodes.PUBLISHED), by_full_name(nodes.SUBSCRIBED)
     if arguments:
@@ -80,11 +75,11 @@ def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
         subscribed |= by_full_name(nodes.SUBSCRIBED_IF_ENABLED)
         # A scene has either rotors or named wheels.
         for name in ('/tf', '/clock', '/robot_description', *(
-                OF_ROTORS if NAMED[1] in arguments else OF_WHEELS)):
+                OF_ROTORS if NAMED in arguments else OF_WHEELS)):
             published.pop(name, None)
             subscribed.pop(name, None)
         subscribed['/disturbance'] = subscribed['/torque']
-    with Session(TUMBLER, domain, '-p', f'mode:={mode}', *arguments) as live:
+    with Session(TUMBLER, domain, *options(f'mode:={mode} {arguments}')) as live:
         node = live.node
         writers = found(live, len(published), node.get_publisher_names_and_types_by_node,
                         node.get_publishers_info_by_topic)

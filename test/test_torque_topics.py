@@ -18,18 +18,7 @@ import re
 
 from conftest import SECOND
 from geometry_msgs.msg import Twist, Vector3Stamped, Wrench, WrenchStamped
-from live import (
-    commit,
-    decoded,
-    finished,
-    late,
-    options,
-    PATIENT,
-    Session,
-    set_parameter,
-    stamps_of,
-    TUMBLER,
-)
+from live import commit, decoded, finished, late, options, PATIENT, Session, stamps_of, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, RELIABLE
 import numpy as np
 import pytest
@@ -216,7 +205,7 @@ def lockstep(tmp_path_factory, domain):
         described = live.call(DescribeParameters, 'describe_parameters', names=names).descriptors
         assert all(each.read_only and each.floating_point_range and each.description
                    for each in described)
-        denied = set_parameter(live, 'pivot.moment.z', 0.0)
+        denied = live.set_parameter('pivot.moment.z', 0.0)
         assert 'pivot.moment.z' in denied.reason
         run = flown(folder, live)
         return live, folder / 'live.mcap', run

@@ -21,18 +21,7 @@ import sys
 from conftest import at_night, ROOT, SECOND
 import four_wheels
 from geometry_msgs.msg import WrenchStamped
-from live import (
-    commit,
-    decoded,
-    finished,
-    hold_clock,
-    late,
-    options,
-    PATIENT,
-    run_clock,
-    Session,
-    start_clock,
-)
+from live import commit, decoded, finished, late, options, PATIENT, Session
 from live_session import RELIABLE
 import numpy as np
 from pyarrow import parquet
@@ -244,14 +233,14 @@ def test_a_jump_of_the_clock_keeps_speeds_and_efforts(tmp_path, domain):
     with Wheels(SCENE, domain, *SOURCES, *options(
             'use_sim_time:=true history:=2.0 on_time_jump:=rebase '
             f'start_time:={start_ns}')) as live:
-        start_clock(live, start_ns)
+        live.start_clock(start_ns)
         live.turn(start_ns, [0.003, NAN, NAN, -0.002])
-        hold_clock(live, start_ns, live.commands, 'the command')
-        run_clock(live, start_ns, start_ns + 2 * SECOND)
+        live.hold_clock(start_ns, live.commands, 'the command')
+        live.run_clock(start_ns, start_ns + 2 * SECOND)
         # The command comes into force after the jump, together with those from before.
-        hold_clock(live, later_ns, lambda: len(live.commands()) == 2, 'a new epoch')
+        live.hold_clock(later_ns, lambda: len(live.commands()) == 2, 'a new epoch')
         live.turn(later_ns + 1, [NAN, 0.001, NAN, NAN])
-        run_clock(live, later_ns, later_ns + 2 * SECOND)
+        live.run_clock(later_ns, later_ns + 2 * SECOND)
         live.wait_until(lambda: len(live.commands()) == 3, 'the commands of both epochs')
         run = checked(tmp_path, live)
     assert run.verified.epochs == 2
