@@ -17,7 +17,7 @@
 import numpy as np
 import pytest
 from rigid_body_ros import RigidBodies, RigidBody
-from rigid_body_ros.kernels import body_layout, tensors
+from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.kernels import tensor as exact
 
 COUNT = 40
@@ -146,13 +146,3 @@ def test_damped_bodies_have_the_bits_and_the_errors_of_one(inertia, name):
 def test_one_damping_is_that_of_all():
     inertia, damping = BODIES['full'], np.diag([1e-30, 0.0, 1e-20])
     assert rows(RigidBodies(inertia, damping)) == [alone(tensor, damping) for tensor in inertia]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('name', ['diagonal', 'full', 'one axis', 'rods', 'diagonal rods'])
-def test_exact_arithmetic_is_seldom_necessary(name):
-    inertia = 0.5 * (BODIES[name] + BODIES[name].transpose(0, 2, 1))
-    constants, certain = np.zeros((COUNT, body_layout.SIZE)), np.empty(COUNT, bool)
-    tensors.fill_constants(inertia, np.zeros_like(inertia), constants, certain,
-                           tensors.workspace())
-    assert certain.mean() >= 0.99

@@ -35,10 +35,6 @@ EXTENDED = np.finfo(np.longdouble).eps < ULP  # not on ARM or Windows
 SPECIAL = (0.0, 1.0, 5e-324, 1e308, math.inf)
 
 
-def joined(pair):
-    return mpf(float(pair[0])) + mpf(float(pair[1]))
-
-
 def angles(count):
     """Return angles of every size, and close to multiples of pi / 2 and pi / 128."""
     part = count // 4
@@ -130,30 +126,6 @@ def test_exponentials_are_correctly_rounded():
                           [[float(mpmath.exp(mpf(x))) for x in given]])
     ends = arrays.exponentials([710.0, math.inf, -710.0, -math.inf, math.nan])
     np.testing.assert_array_equal(ends, [math.inf, math.inf, 0.0, 0.0, math.nan])
-
-
-@pytest.mark.slow
-def test_the_careful_evaluations_have_a_hundred_bits_and_the_quick_ones_their_bounds():
-    careful, quick = elementary._careful_sine_cosine, elementary.sine_cosine_pairs
-    for angle in angles(120):
-        exact = mpmath.sin(mpf(angle)), mpmath.cos(mpf(angle))
-        for function, error in ((careful, 1e-31), (quick, elementary._SINE_ERROR)):
-            for pair, right in zip(function(angle), exact):
-                assert abs(joined(pair) / right - 1) < error
-    careful, quick = elementary._careful_arctangent, elementary._quick_arctangent
-    for ratio in [*RANDOM.uniform(0, 1, 100), *(10.0 ** RANDOM.uniform(-9, 0, 40))]:
-        right = mpmath.atan(mpf(ratio))
-        for function, error in ((careful, 1e-31), (quick, elementary._ANGLE_ERROR)):
-            assert abs(joined(function((ratio, 0.0), (1.0, 0.0))) / right - 1) < error
-
-
-@pytest.mark.slow
-def test_arctangent_of_pairs_has_65_bits():
-    arctangent = elementary.arctangent_pair
-    for y, x in points(120).T:
-        pairs = [(value, value * ULP * RANDOM.uniform(-0.5, 0.5)) for value in (y, x)]
-        right = mpmath.atan2(*map(joined, pairs))
-        assert abs(joined(arctangent(*pairs)) / right - 1) < elementary._ANGLE_ERROR
 
 
 def test_sines_are_odd_nan_at_infinity_and_those_of_tiny_angles_are_the_angles():

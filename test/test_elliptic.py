@@ -18,7 +18,6 @@ import mpmath
 from mpmath import mpf
 import numpy as np
 import pytest
-from rigid_body_ros.kernels import double_double as dd
 from rigid_body_ros.kernels import elliptic
 from scipy import special
 
@@ -35,28 +34,6 @@ def split(value):
 
 def joined(pair):
     return mpf(pair[0]) + mpf(pair[1])
-
-
-@pytest.mark.parametrize(('name', 'exact'), [
-    ('add', lambda a, b: a + b), ('subtract', lambda a, b: a - b),
-    ('multiply', lambda a, b: a * b), ('divide', lambda a, b: a / b)])
-def test_arithmetic_has_thirty_digits(name, exact):
-    operation = getattr(dd, name)
-    for _ in range(60):
-        a, b = (mpf(float(x)) * (1 + mpf(float(y)) * mpf(2) ** -53)
-                for x, y in zip(RANDOM.normal(size=2) * 10.0 ** RANDOM.uniform(-20, 20, 2),
-                                RANDOM.uniform(-1, 1, 2)))
-        pairs = split(a), split(b)
-        expected = exact(joined(pairs[0]), joined(pairs[1]))
-        scale = abs(a) + abs(b) if name in ('add', 'subtract') else abs(expected)
-        assert abs(joined(operation(*pairs)) - expected) < 1e-31 * scale
-
-
-def test_square_roots_and_seconds_have_thirty_digits():
-    for x in 10.0 ** RANDOM.uniform(-30, 30, 100):
-        assert abs(joined(dd.sqrt((x, 0.0))) / mpmath.sqrt(mpf(x)) - 1) < 1e-31
-    for span_ns in [0, 1, 2 ** 62 + 12345, *RANDOM.integers(0, 2 ** 63, 50).tolist()]:
-        assert abs(joined(dd.seconds(span_ns)) - mpf(span_ns) / 10 ** 9) <= 1e-31 * span_ns
 
 
 @pytest.mark.slow

