@@ -115,17 +115,13 @@ def jacobi_integral(problem, motion):
 
 
 def under_one_field(name, seed):
-    """Return the problem of a top: asymmetric, Lagrange's, Kovalevskaya's, or with rotors."""
+    """Return the problem of a top: asymmetric, Lagrange's, or with rotors."""
     random = np.random.default_rng(seed)
     attitude, rates = random.normal(size=4), random.normal(size=3)
-    down = (0.0, 0.0, -9.81)
     if name == 'Lagrange':
         return Problem(RigidBody.from_moments(0.2, 0.2, 0.1),
                        State(0, attitude, 0.5 * rates + [0.0, 0.0, 10.0]),
-                       fields=[UniformField((0.0, 0.0, 0.3), down)])
-    if name == 'Kovalevskaya':
-        return Problem(RigidBody.from_moments(2.0, 2.0, 1.0), State(0, attitude, 3.0 * rates),
-                       fields=[UniformField((0.3, 0.4, 0.0), down)])
+                       fields=[UniformField((0.0, 0.0, 0.3), (0.0, 0.0, -9.81))])
     given = [UniformField((0.1, -0.2, 0.3), (0.4, -0.2, -2.5))]
     rotors = (0.0, 0.0, 0.0)
     if name == 'gyrostat':  # with two fields of one direction
@@ -135,10 +131,9 @@ def under_one_field(name, seed):
                    State(0, attitude, rates, rotors), fields=given)
 
 
-def in_orbit(name, seed):
-    """Return the problem of a satellite, without or with a wheel."""
+def in_orbit(rotors, seed):
+    """Return the problem of a satellite with rotors."""
     random = np.random.default_rng(seed)
-    rotors = (0.002, -0.001, 0.004) if name == 'satellite with a wheel' else (0.0, 0.0, 0.0)
     return Problem(RigidBody.from_moments(10.0, 12.0, 6.0, 0.2, -0.1, 0.3),
                    State(0, random.normal(size=4), 1e-3 * random.normal(size=3), rotors),
                    fields=[GravityGradient(1.1e-3, (1.0, 2.0, 3.0), (3.0, 0.0, -1.0))])

@@ -38,7 +38,7 @@ WEIGHT, ORBIT, DIPOLE = FIELDS
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', ['asymmetric top', 'Lagrange', 'Kovalevskaya', 'gyrostat'])
+@pytest.mark.parametrize('name', ['asymmetric top', 'Lagrange', 'gyrostat'])
 def test_energy_and_momentum_about_the_field_do_not_drift_over_ten_thousand_turns(name):
     problem = fields.under_one_field(name, seed=0)
     motion = problem.propagate(at=fields.turns(problem, 10_000))
@@ -47,9 +47,9 @@ def test_energy_and_momentum_about_the_field_do_not_drift_over_ten_thousand_turn
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', ['satellite', 'satellite with a wheel'])
-def test_jacobi_integral_does_not_drift_over_ten_thousand_turns(name):
-    problem = fields.in_orbit(name, seed=0)
+@pytest.mark.parametrize('rotors', [(0.0, 0.0, 0.0), (0.002, -0.001, 0.004)])
+def test_jacobi_integral_does_not_drift_over_ten_thousand_turns(rotors):
+    problem = fields.in_orbit(rotors, seed=0)
     motion = problem.propagate(at=fields.turns(problem, 10_000)[::400])
     assert fields.jacobi_integral(problem, motion).drift() < 1e-13
 

@@ -14,7 +14,9 @@
 
 """The tables of peers: all numbers of a table are from one measurement."""
 
+from functools import partial
 import re
+from types import SimpleNamespace
 
 from conftest import ROOT
 import numpy as np
@@ -51,19 +53,6 @@ def check_ratios(lines):
         assert word in ('', '(level)', '(behind)')
 
 
-class Contender:
-    """A contender that logs its runs."""
-
-    def __init__(self, name, log):
-        self.name, self._log = name, log
-
-    def reset(self):
-        pass
-
-    def run(self):
-        self._log.append(self.name)
-
-
 def test_a_duel_is_level_only_if_the_interval_of_its_rounds_has_1_in_it():
     random = np.random.default_rng(3)
     ours = 1e-5 * random.uniform(0.99, 1.01, pairs.ROUNDS)
@@ -76,7 +65,8 @@ def test_a_duel_is_level_only_if_the_interval_of_its_rounds_has_1_in_it():
 
 def test_contenders_run_in_turns_and_slow_ones_sit_rounds_out():
     log = []
-    contenders = [Contender(name, log) for name in 'abc']
+    contenders = [SimpleNamespace(name=name, reset=lambda: None, run=partial(log.append, name))
+                  for name in 'abc']
     times = pairs.in_turns(contenders, [2e-3, 2e-3, 2.0], patience=3.0)
     ran = np.isfinite(times).sum(axis=0).tolist()
     assert ran == [pairs.ROUNDS, pairs.ROUNDS, 7]

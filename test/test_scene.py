@@ -291,10 +291,9 @@ def test_mypy_finds_a_misspelt_parameter(tmp_path):
 
 #: Names of parameters in common stacks.
 FOREIGN = (
-    'rate', 'frame_id', 'update_rate', 'controller.kp', 'publish_frequency', 'publish_cloud',
-    'model', 'node', 'steps', 'links', 'base_frame', 'odom_frame', 'map_frame', 'world_frame',
-    'mass', 'gravity', 'max_speed', 'xy_goal_tolerance', 'initial_altitude', 'stop_time',
-    'diagnostic_updater.use_fqn', 'use_tf_static', 'tf_prefix', 'body.inertia.ixx')
+    'rate', 'update_rate', 'controller.kp', 'publish_frequency', 'model', 'steps', 'base_frame',
+    'world_frame', 'max_speed', 'xy_goal_tolerance', 'initial_altitude', 'stop_time',
+    'use_tf_static', 'body.inertia.ixx')
 SHARED = """\
 /**:
   ros__parameters:
