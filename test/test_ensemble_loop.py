@@ -255,46 +255,37 @@ def test_a_controller_that_does_not_return_ends_with_a_command_that_is_killed(tm
     assert not alive
 
 
-@pytest.fixture(scope='module')
-def example(tmp_path_factory):
-    """Run the example of the documentation with fewer runs; return its folder and its output."""
-    folder = tmp_path_factory.mktemp('example')
-    text = (ROOT / 'docs' / 'ensemble.md').read_text()
-    command, = re.findall(r'^attitude_ensemble --scene examples/damp[^`]*', text, re.MULTILINE)
-    arguments = shlex.split(command.replace('\\\n', ' '))[1:]
-    arguments[arguments.index('--runs') + 1] = '7'
-    arguments[arguments.index('-o') + 1] = str(folder / 'runs')
-    return folder, [*arguments, '--report', str(folder / 'runs.html'), '--overwrite']
-
-
 @pytest.mark.slow
-def test_the_example_is_the_same_after_an_interruption(example, monkeypatch, capsys):
-    folder, arguments = example
+def test_the_example_is_the_same_after_an_interruption(tmp_path, monkeypatch, capsys):
+    command, = re.findall(r'^attitude_ensemble --scene examples/damp[^`]*', (
+        ROOT / 'docs' / 'ensemble.md').read_text(), re.MULTILINE)
+    runs, page = tmp_path / 'runs', tmp_path / 'runs.html'
+    command = re.sub(r'-o \S+', f'-o {runs} --report {page} --overwrite', command)
+    command = re.sub(r'--runs \d+', '--runs 7', command.replace('\\\n', ' '))
+    _, *arguments = shlex.split(command)
     monkeypatch.chdir(ROOT)
     assert main.attitude_ensemble(arguments) == 0
-    text, expected = capsys.readouterr().out, contents(folder / 'runs')
+    text, expected = capsys.readouterr().out, contents(runs)
     found = json.loads(expected['summary.json'])['requirements'][0]
     assert (found['require'], found['unit']) == ('rate < 0.05', 'rad/s')
     assert 'required         rate < 0.05 rad/s: met by ' in text
-    rows = parquet.read_table(folder / 'runs' / 'runs.parquet').to_pylist()
+    rows = parquet.read_table(runs / 'runs.parquet').to_pylist()
     rates = [np.hypot(np.hypot(*(row[f'angular_velocity.{axis}'] for axis in 'xy')),
                       row['angular_velocity.z']) for row in rows]
     assert found['met'] == sum(rate < 0.05 for rate in rates)
     assert [one['run'] for one in found['worst']] == np.argsort(rates)[:-6:-1].tolist()
-    blocks = sorted((folder / 'runs' / 'blocks').iterdir())
-    for path in (*blocks[2:4], folder / 'runs' / 'runs.parquet'):
+    for path in (*sorted((runs / 'blocks').iterdir())[2:4], runs / 'runs.parquet'):
         path.unlink()
     assert main.attitude_ensemble([*arguments, '--workers', '1']) == 0
-    assert contents(folder / 'runs') == expected
-    page = (folder / 'runs.html').read_text()
-    assert 'worst run: rate &lt; 0.05' in page
-    replay_the_worst(folder, rows, text, monkeypatch)
+    assert contents(runs) == expected
+    assert 'worst run: rate &lt; 0.05' in page.read_text()
+    monkeypatch.chdir(tmp_path)
+    replay_the_worst(tmp_path, rows, text)
 
 
-def replay_the_worst(folder, rows, text, monkeypatch):
+def replay_the_worst(folder, rows, text):
     """Run the first command that the example prints."""
     run, command = re.search(r'worst +run (\d+), .*: attitude_replay (.*)', text).groups()
-    monkeypatch.chdir(folder)
     assert main.attitude_replay(shlex.split(command)) == 0
     for topic, axes, kind in (('attitude', 'xyzw', messages.QUATERNION),
                               ('angular_velocity', 'xyz', messages.VECTOR3)):

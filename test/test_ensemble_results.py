@@ -83,10 +83,6 @@ def draw(folder, found):
     picture.draw(folder / 'b.png', Report('title', '', [], [*report.panels_of(found)]))
 
 
-def marks(panel):
-    return {line.get_label(): line.get_xdata()[0] for line in panel.lines}
-
-
 @pytest.mark.slow
 def test_the_picture_of_an_ensemble_has_its_numbers(arguments, drawn, tmp_path):
     assert main.attitude_ensemble(arguments) == 0
@@ -101,8 +97,9 @@ def test_the_picture_of_an_ensemble_has_its_numbers(arguments, drawn, tmp_path):
     values, edges = heights(panel)
     np.testing.assert_array_equal(values, np.histogram(angles, edges)[0])
     assert (edges[0], edges[-1], values.sum()) == (0.0, angles.max(), len(angles))
-    assert marks(panel) == {name: np.percentile(angles, k, method='inverted_cdf')
-                            for name, k in (('5 %', 5), ('median', 50), ('95 %', 95))}
+    assert {line.get_label(): line.get_xdata()[0] for line in panel.lines} == {
+        name: np.percentile(angles, k, method='inverted_cdf')
+        for name, k in (('5 %', 5), ('median', 50), ('95 %', 95))}
     assert found['histogram'] == {'edges_rad': edges.tolist(), 'runs': values.tolist()}
 
 

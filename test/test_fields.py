@@ -14,9 +14,6 @@
 
 """Torques that depend on the attitude: known motions, conserved quantities, and directions."""
 
-import os
-import subprocess
-import sys
 
 from conftest import chord, EPOCH_NS
 import fields
@@ -55,30 +52,6 @@ def test_jacobi_integral_does_not_drift_over_ten_thousand_turns(rotors):
 
 
 # The physics of several fields, and of none
-
-
-@pytest.mark.slow
-def test_directions_and_sums_have_the_same_bits_on_every_processor():
-    # The order of operations in BLAS, and its use of fused products, depend on the processor.
-    script = """
-import numpy as np
-from rigid_body_ros import GravityGradient, Problem, RigidBody, State, UniformField
-random = np.random.default_rng(1)
-for _ in range(300):
-    a, b = random.normal(size=(2, 3))
-    orbit = GravityGradient(1.0, a, np.cross(a, b))
-    many = [UniformField(*random.normal(size=(2, 3))) for _ in range(5)]
-    problem = Problem(RigidBody(np.eye(3)), State(), fields=[orbit, *many])
-    at = np.arange(5)
-    attitude = np.eye(4)[[3] * 5]
-    print(problem._fields.tobytes().hex(), problem.torque(at, attitude).tobytes().hex(),
-          *(one.potential_energy(problem.body, at, attitude).tobytes().hex()
-            for one in problem.fields))
-"""
-    outputs = {subprocess.run([sys.executable, '-c', script], check=True, capture_output=True,
-                              env={**os.environ, 'OPENBLAS_CORETYPE': name}).stdout
-               for name in ('Prescott', 'Haswell')}
-    assert len(outputs) == 1
 
 
 FINE = np.arange(201) * SECOND // 20

@@ -101,33 +101,11 @@ def test_no_torque_acts_on_a_turned_rod_after_the_timeout(solver):
     np.testing.assert_array_equal(motion.angular_velocity[1:], coast.angular_velocity)
 
 
-def test_explicit_euler_gains_energy_in_proportion_to_the_step():
-    times = np.arange(0, 21) * SECOND
-    gains = []
-    for step in LADDERS['explicit_euler'][1]:
-        energy = moved('explicit_euler', step, at=times).kinetic_energy
-        assert np.all(np.diff(energy) > 0.0)
-        gains.append(energy[-1] / energy[0] - 1.0)
-    found, correlation = slope(LADDERS['explicit_euler'][1], gains)
-    assert abs(found - 1.0) < 0.2
-    assert correlation > 0.999
-
-
 @pytest.mark.parametrize('step', ODE_LOSSES)
 def test_explicit_euler_loses_the_momentum_that_ode_loses(step):
     # ODE turns the attitude by the rates after the step, and this method by those before, which
     # explains the 3 %.
     assert lost_momentum('explicit_euler', step) == pytest.approx(ODE_LOSSES[step], rel=0.03)
-
-
-def test_rk4_loses_energy_and_momentum_to_order_four_or_better():
-    steps, times = LADDERS['rk4'][1], np.arange(0, 21) * SECOND
-    motions = [moved('rk4', step, at=times) for step in steps]
-    for losses in ([drift(motion.kinetic_energy) for motion in motions],
-                   [drift(motion.angular_momentum_space) for motion in motions]):
-        found, correlation = slope(steps, losses)
-        assert found > 3.8
-        assert correlation > 0.999
 
 
 @pytest.mark.parametrize('body', [RigidBody.from_moments(1.1, 2.0, 2.7), BODY])
