@@ -21,7 +21,7 @@ import tempfile
 import time
 
 from conftest import at_night
-from live import finished, Session, TUMBLER
+from live import finished, PATIENCE, Session, TUMBLER
 from live_session import LiveSession, RELIABLE
 import numpy as np
 import pytest
@@ -32,12 +32,10 @@ from rigid_body_ros.live.inputs import Inputs
 from rigid_body_ros.mechanics import urdf
 from robots import JOINTS, ROBOT, robot
 from std_msgs.msg import String
-import yaml
 
 pytestmark = pytest.mark.ros
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 WAITS = 'waiting for a URDF on /robot_description'
-PATIENCE = 300
 SOLID = '<inertial><mass value="0.5"/><inertia ixx="0.05" iyy="0.12" izz="0.14" ixy="0" ixz="0" ' \
         'iyz="0"/></inertial>'
 #: Two links that fixed joints connect have a mass.
@@ -79,10 +77,9 @@ def test_a_node_without_an_inertia_takes_that_of_the_topic(tmp_path, domain, par
         live.wait_until(lambda: live.diagnosis('torques')[0]['applied'] == 4, 'all torques')
         run = finished(tmp_path, live)
     assert len(run.stamps_ns) == 5
-    np.testing.assert_array_equal(scene.load(tmp_path / 'live.yaml').body.inertia,
-                                  scene.Scene.from_values({'robot_description': WELDED})
-                                  .body.inertia)
-    assert {*scene.load(tmp_path / 'live.yaml').links} == {*urdf.fixed_frames(WELDED)}
+    np.testing.assert_array_equal(run.scene.body.inertia, scene.Scene.from_values(
+        {'robot_description': WELDED}).body.inertia)
+    assert {*run.scene.links} == {*urdf.fixed_frames(WELDED)}
 
 
 def test_the_parameters_come_first(domain):
@@ -93,11 +90,10 @@ def test_the_parameters_come_first(domain):
         assert WAITS not in live.end()
 
 
-class WrongSession(DescribedSession):
+class WrongSession(LiveSession):
     """A session with a robot that has no inertia."""
 
     def _connect(self):
-        self.wait_until(lambda: WAITS in self.words(), 'the node to wait')
         self.node.create_publisher(String, 'robot_description', LATCHED).publish(
             String(data='<robot name="r"><link name="a"/></robot>'))
         until = time.monotonic() + PATIENCE
@@ -146,10 +142,9 @@ def test_a_node_that_waits_says_what_is_missing(domain, parameters):
         assert live.stop() == 0
 
 
-def test_a_wrench_across_the_axis_of_a_propeller_is_rejected_with_frame_and_joint(parameters):
-    parameters.write_text(yaml.dump({'/**': {'ros__parameters': {
-        'robot_description': ROBOT, 'frame_prefix': 'one/'}}}))
-    loaded, axis = scene.load(parameters), np.array([1.0, 2.0, 2.0])
+def test_a_wrench_across_the_axis_of_a_propeller_is_rejected_with_frame_and_joint():
+    loaded, axis = scene.Scene.from_values({'robot_description': ROBOT, 'frame_prefix': 'one/'}), \
+        np.array([1.0, 2.0, 2.0])
     inputs = Inputs(loaded, None)  # does not count forces without lever arms
     along = messages.WRENCH.encode(1, 'one/propeller', [*axis, *(1e-3 * axis)])
     assert inputs.torque(along, 0).values.tobytes() \
@@ -157,8 +152,7 @@ def test_a_wrench_across_the_axis_of_a_propeller_is_rejected_with_frame_and_join
     for values, cause, words in (
             ([1, 0, 0, 0, 0, 0], FRAME, "^frame 'one/propeller': expected force and torque along"),
             ([0, 0, 0, 0, 0, 1], FRAME, "of joint 'to_propeller' .continuous., found force"),
-            ([np.nan, 0, 0, 0, 0, 0], NOT_FINITE, 'expected a finite torque'),
-            ([0, 0, 0, 0, np.inf, 0], NOT_FINITE, 'expected a finite torque')):
+            ([np.nan, 0, 0, 0, 0, 0], NOT_FINITE, 'expected a finite torque')):
         with pytest.raises(RejectedError, match=words) as found:
             inputs.torque(messages.WRENCH.encode(1, 'one/propeller', values), 0)
         assert found.value.cause == cause
