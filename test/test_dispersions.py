@@ -14,9 +14,11 @@
 
 """Dispersions, from a file or from a fit: statistics of the numbers, and ways to a spread."""
 
+from dataclasses import replace
 import json
+import re
 
-from conftest import nearest_rank
+from conftest import CONFIG, nearest_rank
 import measurements
 from measurements import messages_of, torque_messages
 import numpy as np
@@ -47,18 +49,6 @@ def test_draws_have_the_given_means_deviations_and_no_correlation():
     assert np.all(np.abs(rows.std(0) - SIGMAS) < 4 * error * np.sqrt((fourth - 1.0) / 4.0))
     correlation = np.corrcoef(rows.T)[np.triu_indices(5, 1)]
     assert np.all(np.abs(correlation) < 4 / np.sqrt(RUNS.size))
-
-
-def test_the_axes_of_tilts_are_isotropic():
-    tilts = draws(VARY[:1], 1, RUNS)['initial_attitude']
-    axes = tilts / np.linalg.norm(tilts, axis=1, keepdims=True)
-    # The components of isotropic unit vectors: mean 0, variance 1/3, fourth moment 1/5; products
-    # of two: mean 0, variance 1/15.
-    assert np.all(np.abs(axes.mean(0)) < 4 / np.sqrt(3 * RUNS.size))
-    error = np.sqrt((1 / 5 - 1 / 9) / RUNS.size)
-    assert np.all(np.abs((axes ** 2).mean(0) - 1 / 3) < 4 * error)
-    products = (axes * np.roll(axes, 1, axis=1)).mean(0)
-    assert np.all(np.abs(products) < 4 / np.sqrt(15 * RUNS.size))
 
 
 def test_a_run_depends_on_seed_number_and_key_only():
@@ -132,11 +122,8 @@ def test_values_of_the_fields_of_a_scene_vary(tmp_path):
     ('torque_gain: 3', 'torque_gain: expected keys and values (torque_gain: {normal: 0.03}), '
      "found '3'"),
     ('torque_gain: {normal: .inf}', "normal: expected a number greater than 0, found ['.inf']"),
-    ('torque_gain: {normal: {a: 1}}', "expected a number greater than 0, found ['a group']"),
-    ('torque_gain: {uniform: [-.inf, .inf]}', 'uniform: expected two ascending numbers, found'),
     ('torque_gain: {uniform: [-1e308, 1e308]}', 'uniform: expected two ascending numbers, found'),
     ('torque_gain: {normal: 1, relative: [true]}', 'expected true or false, found a list'),
-    ('torque_gain: {normal: 1, normal: 2}', "normal or uniform, found ['normal', 'normal']"),
     ('? [torque_gain]\n: {normal: 1}', 'expected names as keys, found a list as a key in line 1'),
     ('torque_gain: {<<: {normal: 1}}', 'expected YAML without aliases (*name), anchors (&name) '
      'and merge keys (<<), which ROS parameter files do not have, found one in line 1'),
@@ -145,9 +132,8 @@ def test_values_of_the_fields_of_a_scene_vary(tmp_path):
 def test_a_mistake_is_one_line(tmp_path, text, message):
     path = tmp_path / 'vary.yaml'
     path.write_text(text)
-    with pytest.raises(InputError) as error:
+    with pytest.raises(InputError, match=re.escape(message)) as error:
         load(path)
-    assert message in str(error.value)
     assert str(path) in str(error.value)
 
 
@@ -189,9 +175,9 @@ def test_the_systematic_part_of_an_interval_widens_the_distribution(tmp_path):
     data = json.loads(path.read_text())
     data['estimates']['torque_gain']['systematic'] = np.sqrt(3.0) * SIGMA[2]
     path.write_text(json.dumps(data))
-    wider = np.array([1.0, 1.0, np.sqrt(2.0), 1.0])
-    np.testing.assert_allclose(load_fitted(path).covariance,
-                               COVARIANCE * np.outer(wider, wider), rtol=1e-14)
+    wider = np.diag([1.0, 1.0, np.sqrt(2.0), 1.0])
+    np.testing.assert_allclose(load_fitted(path).covariance, wider @ COVARIANCE @ wider,
+                               rtol=1e-14)
 
 
 def test_sensors_and_later_recordings_do_not_change_the_distribution_of_the_others(tmp_path):
@@ -262,13 +248,10 @@ def test_an_impossible_body_is_a_row_with_its_reason(tmp_path):
      'with the eigenvalue -1'),
     ({'matrix': COVARIANCE + np.diag([np.inf, 0, 0, 0])}, 'expected finite numbers'),
 ])
-def test_a_file_that_is_no_fit_is_one_line(tmp_path, capsys, change, message):
+def test_a_file_that_is_no_fit_is_one_line(tmp_path, refusal, change, message):
     path = written(tmp_path / 'fitted.json', **change)
-    scene = tmp_path / 'scene.yaml'
-    scene.write_text('/**:\n  ros__parameters:\n    inertia: {ixx: 1.0, iyy: 1.0, izz: 1.0}\n')
-    assert main.attitude_ensemble(['--scene', str(scene), '--vary', str(path), '--runs', '3',
-                                  '--until', '1', '-o', str(tmp_path / 'out')]) == 2
-    line, = capsys.readouterr().err.splitlines()
+    line = refusal('attitude_ensemble', '--scene', CONFIG / 'tumbler.yaml', '--vary', path,
+                   '--runs', 3, '--until', 1, '-o', tmp_path / 'out')
     assert line.startswith(f'attitude_ensemble: error: {path}: ')
     assert message in line
     assert not (tmp_path / 'out').exists()
@@ -287,9 +270,7 @@ def test_a_file_that_is_not_json_is_one_line(tmp_path, text):
 def fit(tmp_path_factory):
     """Run the first command; return the folder with its recording, its guess and its outputs."""
     folder, truth = tmp_path_factory.mktemp('fit'), measurements.truth()
-    guess = measurements.Truth(*(getattr(truth, name) for name in (
-        'stamps_ns', 'attitude', 'rates', 'torque_times', 'torques')), inertia=0.03 * np.eye(3))
-    measurements.write_scene(folder / 'guess.yaml', guess)
+    measurements.write_scene(folder / 'guess.yaml', replace(truth, inertia=0.03 * np.eye(3)))
     sensor = truth.measured(2e-3, 5e-3, clock=0.01)
     measurements.write(folder / 'in.mcap', torque=torque_messages(truth),
                        imu=messages_of('Imu', sensor))

@@ -18,7 +18,6 @@ import json
 
 from conftest import chord, RECORDINGS, Reference
 import fields
-from mpmath import mp
 import numpy as np
 import pytest
 from rigid_body_ros import State
@@ -56,24 +55,6 @@ def test_recorded_motions(name, solver):
     apart = np.linalg.norm(motion.angular_velocity - reference.angular_velocity, axis=1)
     assert np.all(apart <= bound * fastest)
     assert np.abs(np.linalg.norm(motion.attitude, axis=1) - 1.0).max() < 1e-14
-    assert np.all(euler_error(reference.attitude, motion.euler_angles()) <= 4.0 * bound)
-
-
-def euler_error(attitude, angles):
-    """Return the error of 3-1-3 angles; at a pole, of theta and of the sum or difference."""
-    errors = []
-    with mp.workdps(30):
-        for (x, y, z, w), given in zip(attitude.tolist(), angles.tolist()):
-            theta = 2 * mp.atan2(mp.hypot(x, y), mp.hypot(w, z))
-            half_sum, half_difference = mp.atan2(z, w), mp.atan2(y, x)
-            pairs = [(given[0] + mp.mpf(given[2]), 2 * half_sum),
-                     (given[0] - mp.mpf(given[2]), 2 * half_difference)]
-            if abs(mp.sin(theta)) < 1e-7:
-                pairs = pairs[:1] if theta < 1 else pairs[1:]
-            turns = [(found - right) / (4 * mp.pi) for found, right in pairs]
-            errors.append(max(abs(given[1] - theta), *(
-                4 * mp.pi * abs(turn - mp.nint(2 * turn) / 2) for turn in turns)))
-    return np.array(errors, float)
 
 
 @pytest.mark.parametrize(('name', 'folder'), [
