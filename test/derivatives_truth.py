@@ -44,12 +44,12 @@ NEXT = RigidBody(0.5 * FULL + np.diag([0.25, 0.125, 0.0]), np.diag([0.02, 0.03, 
 class Case:
     """A motion under a number of torques of equal duration, N m."""
 
-    inertia: np.ndarray
-    rates: tuple[float, float, float]
-    seconds: float
+    inertia: np.ndarray = field(default_factory=FULL.copy)
+    rates: tuple[float, float, float] = (0.5, -0.7, 0.9)
+    seconds: float = 5.0
     #: How many torques there are, and their size.
     count: int = 0
-    size: float = 0.2
+    size: float = 0.4
     in_space: bool = False
     interpolation: str = 'hold'
     #: The fraction of the first torque that is over when the motion starts.
@@ -130,53 +130,44 @@ class Case:
             changes=BodyLog([self.end_ns // 2], [NEXT], self.keep) if self.keep else None)
 
 
+DAMPING = np.diag([0.05, 0.02, 0.1]) + 0.01
+REST = (0.0, 0.0, 0.0)
+DELAYED, LAGGING, WEIGHED = ('torque_delay',), ('torque_lag', 'torque_delay'), ('weight.moment',)
 CASES = {
-    'free': Case(FULL, (0.5, -0.7, 0.9), 10.0),
-    'log at 50 Hz': Case(FULL, (0.5, -0.7, 0.9), 4.0, 200, 0.3),
-    'rod': Case(np.diag([1e-4, 1.0, 1.00005]), (3.0, 0.02, -0.03), 5.0),
-    'plate': Case(np.diag([1.0, 2.0, 3.0 - 1e-9]), (0.3, 1.0, 0.2), 5.0, 10, 0.1),
+    'free': Case(seconds=10.0),
+    'log at 50 Hz': Case(seconds=4.0, count=200, size=0.3),
+    'rod': Case(np.diag([1e-4, 1.0, 1.00005]), (3.0, 0.02, -0.03)),
+    'plate': Case(np.diag([1.0, 2.0, 3.0 - 1e-9]), (0.3, 1.0, 0.2), count=10, size=0.1),
     'near-sphere': Case(np.diag([1.0, 1.0 + 1e-9, 1.0 + 3e-9]), (1.0, 0.5, -0.8), 20.0),
     'separatrix': Case(np.diag([1.0, 2.0, 3.0]), (1e-6, 1.0, 1e-6), 10.0),
-    'torque in space axes': Case(FULL, (0.1, 0.2, 0.3), 5.0, 5, 0.4, True),
-    'rotors and damping': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, momentum=WHEEL,
-                               damping=np.diag([0.05, 0.02, 0.1]) + 0.01),
-    'rotors of a body at rest': Case(FULL, (0.0, 0.0, 0.0), 5.0, momentum=WHEEL),
-    'from rest': Case(FULL, (0.0, 0.0, 0.0), 5.0, 1, 0.4),
-    'log at 1 kHz': Case(FULL, (0.5, -0.7, 0.9), 1.0, 1000, 0.3),
-    'top': Case(FULL, (0.5, -0.7, 3.0), 5.0, momentum=WHEEL, moment=(0.1, -0.05, 0.2),
-                damping=np.diag([0.05, 0.02, 0.1]) + 0.01, more=('weight.moment',)),
-    'hanging': Case(FULL, (0.0, 0.0, 0.0), 5.0, moment=(0.0, 0.0, -0.5),
-                    gravity=(0.0, 0.0, -9.0), attitude=np.array([0.0, 0.0, 0.0, 1.0]),
-                    more=('weight.moment',)),
+    'torque in space axes': Case(rates=(0.1, 0.2, 0.3), count=5, in_space=True),
+    'rotors and damping': Case(count=5, size=0.2, momentum=WHEEL, damping=DAMPING),
+    'rotors of a body at rest': Case(rates=REST, momentum=WHEEL),
+    'from rest': Case(rates=REST, count=1),
+    'log at 1 kHz': Case(seconds=1.0, count=1000, size=0.3),
+    'top': Case(rates=(0.5, -0.7, 3.0), momentum=WHEEL, moment=(0.1, -0.05, 0.2), damping=DAMPING,
+                more=WEIGHED),
+    'hanging': Case(rates=REST, moment=(0.0, 0.0, -0.5), gravity=(0.0, 0.0, -9.0),
+                    attitude=np.array([0.0, 0.0, 0.0, 1.0]), more=WEIGHED),
     'rod under gravity': Case(np.diag([1e-4, 1.0, 1.00005]), (3.0, 0.02, -0.03), 1.0,
-                              moment=(0.25, 1e-4, -5e-5), more=('weight.moment',)),
-    'orbit': Case(FULL, (0.05, -0.07, 0.3), 5.0, mean_motion=0.3),
-    'orbit at rest': Case(FULL, (0.0, 0.0, 0.0), 5.0, mean_motion=0.3),
-    'lag': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, begun=0.25, lag=0.6,
-                more=('torque_lag', 'torque_delay')),
-    'lag in space axes': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, True, lag=0.6,
-                              more=('torque_lag', 'torque_delay')),
-    'cubic': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, interpolation='cubic',
-                  more=('torque_delay',)),
-    'linear in space axes': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, True, 'linear',
-                                 more=('torque_delay',)),
-    'delay': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, more=('torque_delay',)),
-    'delay in space axes': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, True, begun=0.25,
-                                more=('torque_delay',)),
-    'motor': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, momentum=WHEEL, motor=0.25 * WHEEL[::-1]),
-    'wheels': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, wheels=(
-        Wheel('a', (1.0, 0.0, 0.0), 0.125, 20.0), Wheel('b', (0.6, 0.0, 0.8), 0.0625)),
-        efforts=(0.25, -0.125)),
-    'change that keeps the rate': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, momentum=WHEEL,
-                                       keep='rate', more=('torque_delay',)),
-    'change that keeps the momentum': Case(FULL, (0.5, -0.7, 0.9), 5.0, 5, 0.4, momentum=WHEEL,
-                                           damping=np.diag([0.05, 0.02, 0.1]) + 0.01,
-                                           keep='momentum', more=('torque_delay',)),
-    'change at the stamp of a torque': Case(FULL, (0.5, -0.7, 0.9), 4.0, 4, 0.4, keep='rate',
-                                            more=('torque_delay',)),
-    'ten thousand turns': Case(FULL, (0.5, -0.7, 0.9), 50_000.0, is_free=True),
-    'ten thousand turns of a near-sphere': Case(
-        np.diag([1.0, 1.0 + 1e-6, 1.0 + 3e-6]), (0.5, -0.7, 0.9), 50_000.0, is_free=True),
-}
+                              moment=(0.25, 1e-4, -5e-5), more=WEIGHED),
+    'orbit': Case(rates=(0.05, -0.07, 0.3), mean_motion=0.3),
+    'orbit at rest': Case(rates=REST, mean_motion=0.3),
+    'lag': Case(count=5, begun=0.25, lag=0.6, more=LAGGING),
+    'lag in space axes': Case(count=5, in_space=True, lag=0.6, more=LAGGING),
+    'cubic': Case(count=5, interpolation='cubic', more=DELAYED),
+    'linear in space axes': Case(count=5, in_space=True, interpolation='linear', more=DELAYED),
+    'delay': Case(count=5, more=DELAYED),
+    'delay in space axes': Case(count=5, in_space=True, begun=0.25, more=DELAYED),
+    'motor': Case(count=5, size=0.2, momentum=WHEEL, motor=0.25 * WHEEL[::-1]),
+    'wheels': Case(count=5, size=0.2, efforts=(0.25, -0.125), wheels=(
+        Wheel('a', (1.0, 0.0, 0.0), 0.125, 20.0), Wheel('b', (0.6, 0.0, 0.8), 0.0625))),
+    'change that keeps the rate': Case(count=5, momentum=WHEEL, keep='rate', more=DELAYED),
+    'change that keeps the momentum': Case(count=5, momentum=WHEEL, damping=DAMPING,
+                                           keep='momentum', more=DELAYED),
+    'change at the stamp of a torque': Case(seconds=4.0, count=4, keep='rate', more=DELAYED),
+    'ten thousand turns': Case(seconds=50_000.0, is_free=True),
+    'ten thousand turns of a near-sphere': Case(np.diag([1.0, 1.0 + 1e-6, 1.0 + 3e-6]),
+                                                seconds=50_000.0, is_free=True)}
 TRUTH = json.loads(path.read_text()) if (
     path := Path(__file__).with_name('truth_derivatives.json')).exists() else {}

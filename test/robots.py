@@ -17,6 +17,7 @@
 import bags
 import numpy as np
 from rigid_body_ros.mechanics import urdf
+from scipy.spatial.transform import Rotation
 
 SHIFT = ' xyz="0.25 0 -0.5" rpy="0.3 -0.2 1"'
 #: A force at the origin of the thruster acts 0.75 m ahead of the centre of mass, along the body's
@@ -47,6 +48,22 @@ def robot(*joints, body='base_link', origin=SHIFT, loose=(), inertials=None):
              + ''.join(f'<axis xyz="{xyz}"/>' for xyz in axis) + '</joint>'
              for kind, parent, child, xyz, rpy, *axis in joints]
     return '<robot name="it">' + ''.join(links + parts) + '</robot>'
+
+
+def text(numbers):
+    return ' '.join(map(repr, np.asarray(numbers, float).tolist()))
+
+
+def tree(random, kinds):
+    """Return joints of these kinds between random links, and each link's axes and position."""
+    joints, places = [], {'l0': (Rotation.identity(), np.zeros(3))}
+    for child, kind in enumerate(kinds, 1):
+        parent = f'l{random.integers(child)}'
+        shift, angles = random.normal(size=3), random.uniform(-7.0, 7.0, 3)
+        joints.append((kind, parent, f'l{child}', text(shift), text(angles)))
+        turn, place = places[parent]
+        places[f'l{child}'] = turn * Rotation.from_euler('xyz', angles), place + turn.apply(shift)
+    return joints, places
 
 
 #: The arm and the hand can move, and the label is not attached.

@@ -27,7 +27,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics import urdf
 from rigid_body_ros.recording.torques import torque_pieces
 from rigid_body_ros.replay import replay
-from robots import converted, JOINTS, ROBOT, robot, wrenches
+from robots import converted, JOINTS, ROBOT, robot, text, tree, wrenches
 from scipy.spatial.transform import Rotation
 import yaml
 
@@ -39,32 +39,18 @@ CENTRE, EPS = np.array([0.25, 0.0, -0.5]), np.finfo(float).eps
 TWO_PROPELLERS = robot(*JOINTS, ('continuous', 'mast', 'second', '0 0 1', '0 0 0', '0 0 1'))
 
 
-def text(numbers):
-    return ' '.join(map(repr, numbers.tolist()))
-
-
 @pytest.mark.parametrize('seed', range(4))
 def test_frames_are_composed_along_fixed_joints_in_both_directions(seed):
     random = np.random.default_rng(seed)
-    count, centre = 8, random.normal(size=3)
-    parents = [0, *(int(random.integers(child)) for child in range(1, count))]
-    shifts, angles = random.normal(size=(count, 3)), random.uniform(-7.0, 7.0, (count, 3))
-    body = f'l{random.integers(count)}'
-    transforms = [np.eye(4)]
-    for child in range(1, count):
-        step = np.eye(4)
-        step[:3, :3] = Rotation.from_euler('xyz', angles[child]).as_matrix()
-        step[:3, 3] = shifts[child]
-        transforms.append(transforms[parents[child]] @ step)
-    frames = urdf.fixed_frames(robot(
-        *(('fixed', f'l{parents[child]}', f'l{child}', text(shifts[child]), text(angles[child]))
-          for child in random.permutation(range(1, count))),
-        body=body, origin=f' xyz="{text(centre)}" rpy="1 2 3"'))
-    assert len(frames) == count
-    for child, transform in enumerate(transforms):
-        expected = np.linalg.inv(transforms[int(body[1:])]) @ transform
-        rotation, position = expected[:3, :3], expected[:3, 3] - centre
-        found = frames[f'l{child}']
+    joints, places = tree(random, 7 * ['fixed'])
+    body, centre = f'l{random.integers(8)}', random.normal(size=3)
+    frames = urdf.fixed_frames(robot(*random.permutation(joints), body=body,
+                                     origin=f' xyz="{text(centre)}" rpy="1 2 3"'))
+    assert {*frames} == {*places}
+    axes, place = places[body]
+    for child, (turn, position) in places.items():
+        found, rotation = frames[child], (axes.inv() * turn).as_matrix()
+        position = axes.inv().apply(position - place) - centre
         np.testing.assert_allclose(found.rotation, rotation, rtol=0, atol=1e-14)
         np.testing.assert_allclose(found.position, position, rtol=0, atol=3e-14)
         force, torque = random.normal(size=(2, 10, 3))

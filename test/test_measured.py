@@ -35,7 +35,7 @@ from measurements import (
 import numpy as np
 from pages import array, data_of
 import pytest
-from rigid_body_ros import messages, recording, State
+from rigid_body_ros import messages, recording
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison import read_measured
@@ -135,8 +135,7 @@ def test_a_quantity_that_is_never_usable_is_left_out_with_a_note(tmp_path, measu
 
 
 @pytest.mark.slow
-def test_a_clock_that_jumps_ahead_is_named(run, tmp_path, measured, monkeypatch):
-    monkeypatch.setattr('rigid_body_ros.recording.gaps._PATIENCE', 1e-9)
+def test_a_clock_that_jumps_ahead_is_named(run, tmp_path, measured):
     motion, sensor = truth(), measured.rows(slice(None, None, 10))
     times, stamps = motion.torque_times.copy(), sensor.stamps_ns.copy()
     for each in (times, stamps):
@@ -146,9 +145,7 @@ def test_a_clock_that_jumps_ahead_is_named(run, tmp_path, measured, monkeypatch)
                  imu=messages_of('Imu', replace(sensor, stamps_ns=stamps)))
     status, shown, error = run(path=path)
     assert (status, 'likely cause' in shown) == (0, False)
-    announced, warning = error.splitlines()
-    assert announced.startswith(f'{path}: computing the motion takes about 0:00:0')
-    assert warning.startswith(
+    assert error.startswith(
         f'attitude_compare: warning: {path}: torques: a torque acts for 30.05 s until the next '
         'one, from 9.95 s after the start')
 
@@ -318,8 +315,7 @@ def test_the_command_writes_errors_a_plot_and_a_page_with_names_as_text(figures,
     for line in shown.splitlines()[1:-1]:
         assert f'<dd>{escape(line[17:])}</dd>' in text
     data = data_of(text)
-    labels = [panel['label'] for panel in data['panels']]
-    assert labels == [
+    assert [panel['label'] for panel in data['panels']] == [
         '/imu: attitude quaternion, body axes',
         '/imu: attitude error, measured minus computed, body axes',
         '/imu: angular velocity, body axes',
@@ -357,50 +353,6 @@ def test_the_command_aligns_one_sensor_and_checks_it(run, figures, tmp_path):
             run('--align', wrong, path=path)
 
 
-def aligned_in_first_epoch(tmp_path, clock):
-    """Compare with the first of two epochs of ten seconds, and fit the delay of the sensor."""
-    motion, path = truth(seconds=10.0), tmp_path / 'two.mcap'
-    with recording.Writer(path) as writer:
-        writer.add_topic('/torque', messages.WRENCH)
-        writer.add_topic('/odom', messages.ODOMETRY)
-        for later, one in ((0, motion), (10 * SECOND, truth(seconds=10.0, seed=2))):
-            start, sensor = one.start, one.measured(clock=clock)
-            writer.write('/torque', 1, messages.epoch_marker(
-                replace(start, time_ns=start.time_ns + later)))
-            for stamp, torque in zip(one.torque_times.tolist(), one.torques):
-                writer.write('/torque', 1, messages.wrench(stamp + later, '', torque))
-            for stamp, *state in zip(sensor.stamps_ns.tolist(), sensor.attitude,
-                                     sensor.angular_velocity):
-                writer.write('/odom', 1, messages.odometry(
-                    State(stamp + later, *state), 'world', 'base_link'))
-    scene = load(write_scene(tmp_path / 'scene.yaml', motion))
-    scene = replace(scene, start=replace(scene.start, time_ns=motion.start.time_ns))
-    return compare_recording(path, scene, align=['clock'])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('clock', [4.0, *at_night(0.5, -0.5)])
-def test_a_clock_that_is_off_moves_the_end_of_an_epoch(tmp_path, clock):
-    found = aligned_in_first_epoch(tmp_path, clock)
-    assert found.alignment.clock_offset_s == pytest.approx(clock, abs=1e-6)
-    assert (found.samples, found.left_out) == (1000, 1000)
-    assert found.as_dict()['attitude_error_rad']['max'] < 1e-5
-
-
-@pytest.mark.slow
-def test_measurements_of_later_epochs_only_are_rejected(tmp_path):
-    with pytest.raises(InputError, match='two.mcap: /odom: expected measurements before the end '
-                                         r'of the motion \(--until or the next epoch\), which is '
-                                         'at .* ns on their clock, found them from'):
-        aligned_in_first_epoch(tmp_path, -15.0)
-
-
-def at_row(row):
-    """Return the true motion with the state at a measured stamp as its initial state."""
-    motion = truth()
-    return replace(motion, rates_at_start=motion.rates[row], turn=motion.attitude[row])
-
-
 @pytest.mark.slow
 def test_only_a_part_is_compared_and_the_torque_before_it_still_acts(figures, tmp_path):
     motion, row = truth(), 503  # 20 ms before the next torque
@@ -422,15 +374,29 @@ def test_a_part_without_torques_begins_and_ends_at_its_times(figures, tmp_path, 
     assert found['samples'] == 101
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('clock', [-0.5, *at_night(0.5)])
-def test_the_end_of_a_part_is_on_the_clock_of_the_torques(tmp_path, clock):
+def of_first_seconds(tmp_path, clock):
+    """Compare the first ten seconds on the clock of the torques, and fit that of the sensor."""
     path = write(tmp_path / 'late.mcap', torque=torque_messages(truth()),
                  imu=messages_of('Imu', truth().measured(clock=clock)))
     scene = load(write_scene(tmp_path / 'scene.yaml', truth()))
-    found = compare_recording(path, scene, Reading(until=10.0), align=['clock'], horizons=[])
+    return compare_recording(path, scene, Reading(until=10.0), align=['clock'], horizons=[])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('clock', [-0.5, *at_night(0.5, 4.0)])
+def test_the_end_of_a_part_is_on_the_clock_of_the_torques(tmp_path, clock):
+    found = of_first_seconds(tmp_path, clock)
+    assert found.alignment.clock_offset_s == pytest.approx(clock, abs=1e-6)
     assert (found.samples, found.left_out) == (1001, 999)
     assert found.as_dict()['attitude_error_rad']['max'] < 1e-5
+
+
+@pytest.mark.slow
+def test_measurements_after_the_end_only_are_rejected(tmp_path):
+    with pytest.raises(InputError, match='late.mcap: /imu: expected measurements before the end '
+                                         r'of the motion \(--until or the next epoch\), which is '
+                                         'at .* ns on their clock, found them from'):
+        of_first_seconds(tmp_path, -15.0)
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [

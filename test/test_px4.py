@@ -275,20 +275,6 @@ def test_a_malformed_torque_that_arrives_live_is_rejected(data, message):
         wrench_of(messages.PX4_TYPES['VehicleTorqueSetpoint'], data)
 
 
-def test_a_vector_is_a_torque_only_if_it_is_named(tmp_path):
-    path = tmp_path / 'log.mcap'
-    with recording.Writer(path) as writer:
-        writer.add_topic('/vector', messages.VECTOR3)
-        for k in range(1, 4):
-            writer.write('/vector', k, messages.VECTOR3.encode(k, 'world', [0.1 * k, 0.2, 0.3]))
-    with pytest.raises(InputError, match='expected one topic of type .*Wrench, found /vector'):
-        recording.read(path)
-    torques = recording.read(path, '/vector')
-    np.testing.assert_array_equal(torques.values, [[0.0, 0.0, 0.0, 0.1 * k, 0.2, 0.3]
-                                                   for k in range(1, 4)])
-    assert torques.frame_ids == ['world'] * 3
-
-
 @pytest.mark.nightly
 def test_the_gains_of_normalized_torques(tmp_path, capsys):
     path = logged(tmp_path / 'log.ulg', Truth(), GAINS)

@@ -49,12 +49,18 @@ def robot(**links):
             + '<joint name="j" type="fixed"><origin xyz="1 2 3" rpy="1 2 3"/></joint></robot>')
 
 
+def part(mass=1.0, tensor=0.0, xyz=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0)):
+    """Return an <inertial>; by default, that of a point mass of 1 kg."""
+    if np.isscalar(tensor):
+        tensor = tensor * np.eye(3)
+    entries = {f'i{"xyz"[k]}{"xyz"[j]}': tensor[k, j] for j in range(3) for k in range(j + 1)}
+    return inertial(f'<origin xyz="{robots.text(xyz)}" rpy="{robots.text(rpy)}"/>',
+                    **entries).replace('value="2"', f'value="{mass}"')
+
+
 def turned(rpy, xyz=(0.0, 0.0, 0.0)):
     """Return the body of the point masses, written as a URDF with an origin."""
-    (ixx, ixy, ixz), (_, iyy, iyz), (*_, izz) = BODY.inertia.tolist()
-    text = inertial('<origin xyz="{} {} {}" rpy="{} {} {}"/>'.format(*xyz, *rpy),
-                    ixx=ixx, ixy=ixy, ixz=ixz, iyy=iyy, iyz=iyz, izz=izz)
-    return RigidBody.from_urdf(robot(body=text))
+    return RigidBody.from_urdf(robot(body=part(2.0, BODY.inertia, xyz, rpy)))
 
 
 def about_fixed_axes(roll, pitch, yaw):
@@ -167,20 +173,8 @@ def test_a_body_written_as_urdf_has_the_same_numbers(scale):
 
 # Several links that fixed joints weld together
 
-def text(numbers):
-    return ' '.join(map(repr, np.asarray(numbers, float).tolist()))
-
-
-def part(mass=1.0, tensor=0.0, xyz=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0)):
-    """Return an <inertial>; by default, that of a point mass of 1 kg."""
-    (ixx, ixy, ixz), (_, iyy, iyz), (*_, izz) = (tensor * np.eye(3)
-                                                 if np.isscalar(tensor) else tensor).tolist()
-    return inertial(f'<origin xyz="{text(xyz)}" rpy="{text(rpy)}"/>', ixx=ixx, ixy=ixy, ixz=ixz,
-                    iyy=iyy, iyz=iyz, izz=izz).replace('value="2"', f'value="{mass}"')
-
-
 def fixed(parent, child, xyz=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0), kind='fixed'):
-    return kind, parent, child, text(xyz), text(rpy)
+    return kind, parent, child, robots.text(xyz), robots.text(rpy)
 
 
 def of_point_masses(random):
@@ -195,27 +189,22 @@ def of_point_masses(random):
 
 @pytest.mark.parametrize('seed', range(3))
 def test_fixed_links_have_the_inertia_of_all_their_point_masses(seed):
-    random, count = np.random.default_rng(seed), 6
-    parents = [0, *(int(random.integers(child)) for child in range(1, count))]
-    kinds = ['fixed', *('revolute' if random.random() < 0.2 else 'fixed' for _ in parents[1:])]
-    shifts, angles = random.normal(size=(count, 3)), random.uniform(-7.0, 7.0, (count, 3))
-    parts = {k: of_point_masses(random) for k in range(count) if k == 0 or random.random() < 0.7}
-    url = robots.robot(
-        *(fixed(f'l{parents[k]}', f'l{k}', shifts[k], angles[k], kinds[k])
-          for k in random.permutation(range(1, count))),
-        body='l0', inertials={f'l{k}': inertial for k, (inertial, _, _) in parts.items()})
-    turns, places, welded = [Rotation.identity()], [np.zeros(3)], [0]
-    for k in range(1, count):
-        places.append(places[parents[k]] + turns[parents[k]].apply(shifts[k]))
-        turns.append(turns[parents[k]] * Rotation.from_euler('xyz', angles[k]))
-        if kinds[k] == 'fixed' and parents[k] in welded:
-            welded.append(k)
-    masses = np.concatenate([parts[k][1] for k in welded if k in parts])
-    positions = np.concatenate([places[k] + turns[k].apply(parts[k][2])
-                                for k in welded if k in parts])
-    expected = RigidBody.from_point_masses(masses, positions)
-    for k in welded:  # moving the root changes only the axes
-        found, axes = RigidBody.from_urdf(url, f'l{k}').inertia, turns[k].as_matrix()
+    random, welded = np.random.default_rng(seed), ['l0']
+    joints, places = robots.tree(random, ['revolute' if random.random() < 0.2 else 'fixed'
+                                          for _ in range(5)])
+    for kind, parent, child, *_ in joints:
+        if kind == 'fixed' and parent in welded:
+            welded.append(child)
+    parts = {name: of_point_masses(random) for name in places
+             if name == 'l0' or random.random() < 0.7}
+    url = robots.robot(*random.permutation(joints), body='l0',
+                       inertials={name: inertial for name, (inertial, _, _) in parts.items()})
+    solid = [(*parts[name][1:], *places[name]) for name in welded if name in parts]
+    expected = RigidBody.from_point_masses(
+        np.concatenate([masses for masses, *_ in solid]),
+        np.concatenate([place + turn.apply(positions) for _, positions, turn, place in solid]))
+    for name in welded:  # moving the root changes only the axes
+        found, axes = RigidBody.from_urdf(url, name).inertia, places[name][0].as_matrix()
         np.testing.assert_allclose(axes @ found @ axes.T, expected.inertia, rtol=0,
                                    atol=8e-15 * expected.principal_moments[2])
 
