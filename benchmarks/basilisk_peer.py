@@ -20,12 +20,12 @@ from Basilisk.architecture import bskLogging, messaging
 from Basilisk.architecture.numbaModel import NumbaModel
 from Basilisk.simulation import extForceTorque, spacecraft
 from Basilisk.utilities import SimulationBaseClass
+from contenders import ladder, per_sample
 import numpy as np
 
 NAME = f"Basilisk {version('bsk')}"
 # A step must be a whole number of nanoseconds, because the clock of Basilisk counts these.
-LADDER = [{'steps': steps} for steps in (
-    200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000, 500_000)]
+LADDER = ladder(200, 500_000)
 STREAM_LADDER = [{}, {'substeps': 2}]
 
 bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)  # or it warns at every restart
@@ -77,8 +77,7 @@ class Stream(Final):
 
     def __init__(self, problem, substeps=1):
         """Take one step per torque by default, which reaches the level of rounding errors."""
-        self.label = 'RK4, ' + (
-            'one step per sample' if substeps == 1 else f'{substeps} steps per sample')
+        self.label = f'RK4, {per_sample(substeps)}'
         self._prepare(problem, problem.hold_ns // substeps)
         self._sender = Sender(np.repeat(problem.torques, substeps, axis=0))
         self._effector.cmdTorqueInMsg.subscribeTo(self._sender.torqueOutMsg)

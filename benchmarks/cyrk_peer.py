@@ -14,6 +14,7 @@
 
 """CyRK: compiled Runge-Kutta pairs with adaptive steps, for equations that numba compiles."""
 
+from contenders import derivative, Equations
 from CyRK import __version__, cyjit, nbsolve2_ivp, nbsolve_ivp
 import numba
 import numpy as np
@@ -23,9 +24,10 @@ LADDER = [{'method': method, 'rtol': 10.0 ** -k}
           for method in ('Vern7', 'Vern8') for k in range(3, 15)]
 STREAM_TOLERANCE = 1e-9
 STREAM_LADDER = [{}]
+_derivative = numba.njit(derivative)
 
 
-class Final:
+class Final(Equations):
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, method, rtol):
@@ -35,16 +37,9 @@ class Final:
         self._arguments = (self._equations.address, float(problem.seconds), method, rtol)
         self._start, self._state = problem.start_vector, np.empty(7)
 
-    def reset(self):
-        """Do nothing: each run begins at the start."""
-
     def run(self):
         """Integrate."""
         _solve(*self._arguments, self._start, self._state)
-
-    def attitude(self):
-        """Return x y z w."""
-        return self._state[3:].copy()
 
 
 class Stream(Final):
@@ -53,7 +48,7 @@ class Stream(Final):
     def __init__(self, problem):
         """Compile the loop over the torques."""
         self.label = f'RK45 rtol={STREAM_TOLERANCE:.0e}, restarted'
-        self._solve = _stream_solver(_derivative(problem))
+        self._solve = _stream_solver(problem.coupling)
         self._arguments = (problem.accelerations, problem.hold_ns * 1e-9)
         self._start, self._state = problem.start_vector, np.empty(7)
 
@@ -62,34 +57,13 @@ class Stream(Final):
         self._solve(*self._arguments, self._start, self._state)
 
 
-def _derivative(problem):
-    k1, k2, k3 = problem.coupling
-
-    @numba.njit
-    def derivative(time, state, t1, t2, t3):
-        a, b, c, x, y, z, w = state
-        return np.array([
-            k1 * b * c + t1, k2 * c * a + t2, k3 * a * b + t3,
-            0.5 * (w * a + y * c - z * b), 0.5 * (w * b + z * a - x * c),
-            0.5 * (w * c + x * b - y * a), -0.5 * (x * a + y * b + z * c)])
-    return derivative
-
-
 def _equations(problem):
-    # The same equations for the interface of the compiled solvers, `nbsolve2_ivp`.
-    k1, k2, k3 = problem.coupling
-    t1, t2, t3 = problem.accelerations[0] if len(problem.torques) else (0.0, 0.0, 0.0)
+    coupling, acceleration = problem.coupling, problem.first_acceleration
 
     def equations(out, time, state, arguments):
-        a, b, c = state[0], state[1], state[2]
-        x, y, z, w = state[3], state[4], state[5], state[6]
-        out[0] = k1 * b * c + t1
-        out[1] = k2 * c * a + t2
-        out[2] = k3 * a * b + t3
-        out[3] = 0.5 * (w * a + y * c - z * b)
-        out[4] = 0.5 * (w * b + z * a - x * c)
-        out[5] = 0.5 * (w * c + x * b - y * a)
-        out[6] = -0.5 * (x * a + y * b + z * c)
+        vector = state[0], state[1], state[2], state[3], state[4], state[5], state[6]
+        (out[0], out[1], out[2], out[3], out[4], out[5], out[6]) = _derivative(
+            vector, coupling, acceleration)
     return equations
 
 
@@ -101,16 +75,20 @@ def _solve(address, end, method, rtol, start, state):
     solution.free()
 
 
-def _stream_solver(derivative):
+def _stream_solver(coupling):
     # For a thousand short problems per second, the solver written in numba is faster, and a given
     # first step saves the search for one.
+    @numba.njit
+    def equations(time, state, t1, t2, t3):
+        return np.array(_derivative(state, coupling, (t1, t2, t3)))
+
     @numba.njit
     def solve(accelerations, hold, start, state):
         state[:] = start
         for i in range(len(accelerations)):
             torque = (accelerations[i, 0], accelerations[i, 1], accelerations[i, 2])
             solution = nbsolve_ivp(
-                derivative, (0.0, hold), state, args=torque, rtol=STREAM_TOLERANCE,
+                equations, (0.0, hold), state, args=torque, rtol=STREAM_TOLERANCE,
                 atol=STREAM_TOLERANCE, first_step=hold, rk_method=1, warnings=False)
             state[:] = solution.y[:, -1]
     return solve

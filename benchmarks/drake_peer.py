@@ -16,6 +16,7 @@
 
 from importlib.metadata import version
 
+from contenders import ladder, per_sample
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant, Propeller, PropellerInfo
@@ -27,8 +28,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 NAME = f"Drake {version('drake')}"
 # At equal cost, fixed steps are more accurate than Drake's error control.
-LADDER = [{'steps': steps} for steps in (
-    200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000)]
+LADDER = ladder(200, 200_000)
 STREAM_LADDER = [{}]
 
 
@@ -71,7 +71,7 @@ class Stream(Final):
 
     def __init__(self, problem):
         """Take one step per torque, which reaches the level of rounding errors."""
-        self.label = 'RK5, zero-order hold, one step per sample'
+        self.label = f'RK5, zero-order hold, {per_sample(1)}'
         self._prepare(problem, problem.hold_ns * 1e-9)
 
 

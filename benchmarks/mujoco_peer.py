@@ -14,14 +14,13 @@
 
 """MuJoCo: one free body, stepped by RK4 on the rotation group."""
 
+from contenders import ladder, per_sample
 import mujoco
 from mujoco import rollout
 import numpy as np
 
 NAME = f'MuJoCo {mujoco.__version__}'
-LADDER = [{'steps': steps} for steps in (
-    200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000, 500_000,
-    1_000_000)]
+LADDER = ladder(200, 1_000_000)
 STREAM_LADDER = [{}, {'substeps': 2}, {'substeps': 4}]
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 # Contacts are off, because their detection takes a fifth of the time. Automatic resets are off:
@@ -79,8 +78,7 @@ class Stream(Final):
 
     def __init__(self, problem, substeps=1):
         """Take one step per torque by default, which reaches the level of rounding errors."""
-        self.label = 'RK4 rollout, ' + (
-            'one step per sample' if substeps == 1 else f'{substeps} steps per sample')
+        self.label = f'RK4 rollout, {per_sample(substeps)}'
         self._torque = np.zeros(3)
         self._prepare(problem, problem.hold_ns * 1e-9 / substeps)
         self._forces = np.zeros((1, len(problem.torques) * substeps, 6))

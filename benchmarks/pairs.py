@@ -19,7 +19,6 @@ A contender has three methods: `reset()`, which is not timed, `run()`, which is 
 `attitude()`, which returns the result.
 """
 
-from dataclasses import dataclass
 import math
 import time
 
@@ -34,33 +33,24 @@ LEAST = 1e-3
 _SHORT = 0.1
 
 
-@dataclass
-class Comparison:
+def ratio(ours, peers):
     """
-    The times, s, of two contenders in the same rounds; NaN in rounds that one of them skipped.
+    Return how many times faster ours is: the ratio of the median times, with a 95 % interval.
 
-    Attributes
+    The interval is for the median of the ratios of single rounds.
+
+    Parameters
     ----------
-    ours, peers : array, shape (n,)
+    ours, peers : array, shape (n,), s
+        The times of two contenders in the same rounds; NaN in rounds that one of them skipped.
 
     """
-
-    ours: np.ndarray
-    peers: np.ndarray
-
-    @property
-    def ratio(self):
-        """
-        How many times faster ours is: the ratio of the median times, with a 95 % interval.
-
-        The interval is for the median of the ratios of single rounds.
-        """
-        ratios = self.peers / self.ours
-        ratios = np.sort(ratios[np.isfinite(ratios)])
-        # Order statistics bound the median, whatever the distribution is.
-        rank = max(1, int(binom.ppf(0.025, len(ratios), 0.5)))
-        return (float(np.nanmedian(self.peers) / np.nanmedian(self.ours)),
-                float(ratios[rank - 1]), float(ratios[-rank]))
+    ratios = peers / ours
+    ratios = np.sort(ratios[np.isfinite(ratios)])
+    # Order statistics bound the median, whatever the distribution is.
+    rank = max(1, int(binom.ppf(0.025, len(ratios), 0.5)))
+    return (float(np.nanmedian(peers) / np.nanmedian(ours)), float(ratios[rank - 1]),
+            float(ratios[-rank]))
 
 
 def in_turns(contenders, seconds, patience=math.inf):

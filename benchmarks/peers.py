@@ -15,29 +15,29 @@
 """
 Measure the error and the cost of this package and of its alternatives.
 
-    python benchmarks/peers.py [--json FILE] [--plot PNG] [--page docs/tradeoff.md] [PROBLEM ...]
+    python benchmarks/peers.py [--plot PNG] [--page docs/tradeoff.md] [PROBLEM ...]
 
 Each contender runs each problem with a ladder of settings, from coarse to fine, until a run takes
 half a second. For each error level, the settings below this error that may be the fastest are
 timed in turns. This measurement gives all times and ratios of a problem. Errors are angles, rad,
 between the final attitude and a reference with 30 digits. All runs use one thread, and compilation
-is not timed. The tables show two levels, --json and --plot all of them. With --page, the tables
-are written into that file, between the lines that say so.
+is not timed. The tables show two levels, and --plot all of them. With --page, the tables are
+written into that file, between the lines that say so.
 """
 
 import argparse
 import importlib
 from importlib.metadata import version
-import json
 import math
 from pathlib import Path
 import platform
 import time
 from typing import Any, NamedTuple
 
+from contenders import Equations
 from matplotlib.figure import Figure
 import numpy as np
-from pairs import Comparison, in_turns, quick
+from pairs import in_turns, quick, ratio
 from problems import error, PROBLEMS
 from rigid_body_ros import propagate
 from tables import header, row, write_into
@@ -93,7 +93,7 @@ def our_ladder(problem):
         {'solver': 'rk4', 'max_step': float(longest) / 2 ** k} for k in range(8)]
 
 
-class Ours:
+class Ours(Equations):
     """The package itself, labelled with its setting; it returns only the state at the end."""
 
     def __init__(self, problem, **options):
@@ -102,9 +102,6 @@ class Ours:
         self.label = ' '.join(f'{value:.0e}' if name == 'tolerance' else
                               f'{value:.3g} s' if name == 'max_step' else value
                               for name, value in options.items())
-
-    def reset(self):
-        """Do nothing: each run begins at the start."""
 
     def run(self):
         """Propagate."""
@@ -193,23 +190,13 @@ def timed(rungs):
                   for rung, column in zip(some, times)] for who, some in chosen.items()}
 
 
-def duels(rungs):
-    """Return for each level the ratio of the best peer's time to ours, with its interval."""
-    found = {}
-    for level in LEVELS:
-        ours = cheapest(rungs[US], level)
-        peer = cheapest([rung for who, some in rungs.items() if who != US for rung in some],
-                        level)
-        if ours and peer:
-            found[level] = Comparison(ours.times, peer.times).ratio
-    return found
-
-
-def verdict(ours, ratio):
+def verdict(rungs, level):
     """Return the table cell of a level: the best peer's time divided by ours."""
-    if ratio is None:
+    ours = cheapest(rungs[US], level)
+    peer = cheapest([rung for who, some in rungs.items() if who != US for rung in some], level)
+    if not (ours and peer):
         return 'alone' if ours else '-'
-    value, low, high = ratio
+    value, low, high = ratio(ours.times, peer.times)
     word = '' if low > 1.0 else ' (level)' if high >= 1.0 else ' (behind)'
     return f'{value:.3g}{word}'
 
@@ -220,9 +207,8 @@ def table(level, results):
     for who in dict.fromkeys(who for rungs, *_ in results.values() for who in rungs):
         best = [cheapest(rungs.get(who, ()), level) for rungs, *_ in results.values()]
         lines.append(row(who, *(f'{1e6 * rung.seconds:.3g}' if rung else '-' for rung in best)))
-    lines.append(row('best peer / ours', *(
-        verdict(cheapest(rungs[US], level), duels(rungs).get(level))
-        for rungs, *_ in results.values())))
+    lines.append(row('best peer / ours', *(verdict(rungs, level)
+                                           for rungs, *_ in results.values())))
     return [*lines, '']
 
 
@@ -274,22 +260,11 @@ def described(modules, missing):
             f'{", ".join(versions)}.', *missing, '']
 
 
-def as_data(rungs, least, failed):
-    """Return the results for a problem, for the JSON file."""
-    return {'rungs': [{'contender': who, 'setting': rung.setting, 'error_rad': rung.error,
-                       'seconds': rung.seconds,
-                       'times_s': [None if math.isnan(each) else each for each in rung.times]}
-                      for who, some in rungs.items() for rung in some],
-            'least_error_rad': least, 'failed': failed,
-            'best_peer_over_ours_by_level': duels(rungs)}
-
-
 def main():
     """Measure the given problems, or all, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('problems', nargs='*', metavar='PROBLEM', default=[*PROBLEMS],
                         help=f'any of {", ".join(PROBLEMS)}; all if none is named')
-    parser.add_argument('--json', type=Path, help='write every figure')
     parser.add_argument('--plot', type=Path, help='draw the fronts')
     parser.add_argument('--page', type=Path, help='write the tables into a page')
     arguments = parser.parse_args()
@@ -299,19 +274,13 @@ def main():
     results = {}
     for name in arguments.problems:
         rungs, failed = measure(name, modules)
-        least = {who: min((rung.error for rung in some), default=math.nan)
-                 for who, some in rungs.items()}
-        results[name] = timed(rungs), least, failed
+        results[name] = timed(rungs), failed
     text = '\n'.join([*described(modules, missing), *(
         line for level in SHOWN for line in table(level, results))])
     print(text)
-    for name, (*_, failed) in results.items():
+    for name, (_, failed) in results.items():
         for reason in failed:
             print(f'* {name}, failed: {reason}')
-    if arguments.json:
-        arguments.json.write_text(json.dumps(
-            {'machine': described(modules, missing), 'problems': {
-                name: as_data(*result) for name, result in results.items()}}, indent=1) + '\n')
     if arguments.plot:
         draw(arguments.plot, results)
     if arguments.page:

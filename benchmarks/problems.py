@@ -85,6 +85,11 @@ class Problem:
         return self.torques / self.moments
 
     @property
+    def first_acceleration(self):
+        """Return the first of the accelerations, or zeros without torques."""
+        return tuple(self.accelerations[0].tolist()) if len(self.torques) else (0.0, 0.0, 0.0)
+
+    @property
     def start_vector(self):
         """Return rates and attitude at the start, shape (7,), as a solver of equations needs."""
         return np.array(self.rates + IDENTITY)

@@ -14,79 +14,43 @@
 
 """A hand-written loop in numba: RK4 with a fixed step, and a normalised quaternion."""
 
+from contenders import derivative, FixedSteps, ladder
 import numba
 import numpy as np
 
 NAME = f'RK4 in numba {numba.__version__}'
-LADDER = [{'steps': steps} for steps in (
-    200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000, 500_000, 1_000_000,
-    2_000_000)]
+LADDER = ladder(200, 2_000_000)
 STREAM_LADDER = [{}, {'substeps': 2}]
 
 
-class Final:
-    """The attitude at the end, under at most one torque; other states are not kept."""
-
-    def __init__(self, problem, steps):
-        """Divide the time into steps of equal length."""
-        self.label = f'{steps} steps'
-        accelerations = problem.accelerations if len(problem.torques) else np.zeros((1, 3))
-        self._arguments = (*problem.start_vector, *problem.coupling,
-                           np.broadcast_to(accelerations, (steps, 3)), problem.seconds / steps)
-
-    def reset(self):
-        """Do nothing: each run begins at the start."""
+class Loop(FixedSteps):
+    """The state at the end; other states are not kept."""
 
     def run(self):
         """Integrate."""
-        self._attitude = _rk4(*self._arguments)
-
-    def attitude(self):
-        """Return x y z w."""
-        return np.array(self._attitude)
+        self._state = _rk4(tuple(self._start), self._coupling, self._accelerations, self._step)
 
 
-class Stream(Final):
-    """The attitude at the end, under torques that are held for one or more steps each."""
-
-    def __init__(self, problem, substeps=1):
-        """Take one step per torque by default, which reaches the level of rounding errors."""
-        self.label = 'one step per sample' if substeps == 1 else f'{substeps} steps per sample'
-        self._arguments = (*problem.start_vector, *problem.coupling,
-                           np.repeat(problem.accelerations, substeps, axis=0),
-                           problem.hold_ns * 1e-9 / substeps)
+Final = Stream = Loop
+_derivative = numba.njit(derivative)
 
 
-@numba.njit(cache=True)
-def _derivative(a, b, c, x, y, z, w, k1, k2, k3, t1, t2, t3):
-    return (k1 * b * c + t1, k2 * c * a + t2, k3 * a * b + t3,
-            0.5 * (w * a + y * c - z * b), 0.5 * (w * b + z * a - x * c),
-            0.5 * (w * c + x * b - y * a), -0.5 * (x * a + y * b + z * c))
+@numba.njit
+def _moved(s, h, d):
+    return (s[0] + h * d[0], s[1] + h * d[1], s[2] + h * d[2], s[3] + h * d[3],
+            s[4] + h * d[4], s[5] + h * d[5], s[6] + h * d[6])
 
 
-@numba.njit(cache=True)
-def _rk4(a, b, c, x, y, z, w, k1, k2, k3, accelerations, h):
+@numba.njit
+def _rk4(state, coupling, accelerations, h):
     for i in range(len(accelerations)):
-        k = (k1, k2, k3, accelerations[i, 0], accelerations[i, 1], accelerations[i, 2])
-        a1, b1, c1, x1, y1, z1, w1 = _derivative(a, b, c, x, y, z, w, *k)
-        g = 0.5 * h
-        a2, b2, c2, x2, y2, z2, w2 = _derivative(
-            a + g * a1, b + g * b1, c + g * c1, x + g * x1, y + g * y1, z + g * z1, w + g * w1,
-            *k)
-        a3, b3, c3, x3, y3, z3, w3 = _derivative(
-            a + g * a2, b + g * b2, c + g * c2, x + g * x2, y + g * y2, z + g * z2, w + g * w2,
-            *k)
-        a4, b4, c4, x4, y4, z4, w4 = _derivative(
-            a + h * a3, b + h * b3, c + h * c3, x + h * x3, y + h * y3, z + h * z3, w + h * w3,
-            *k)
-        g = h / 6.0
-        a += g * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-        b += g * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
-        c += g * (c1 + 2.0 * c2 + 2.0 * c3 + c4)
-        x += g * (x1 + 2.0 * x2 + 2.0 * x3 + x4)
-        y += g * (y1 + 2.0 * y2 + 2.0 * y3 + y4)
-        z += g * (z1 + 2.0 * z2 + 2.0 * z3 + z4)
-        w += g * (w1 + 2.0 * w2 + 2.0 * w3 + w4)
+        acceleration = accelerations[i, 0], accelerations[i, 1], accelerations[i, 2]
+        k1 = _derivative(state, coupling, acceleration)
+        k2 = _derivative(_moved(state, 0.5 * h, k1), coupling, acceleration)
+        k3 = _derivative(_moved(state, 0.5 * h, k2), coupling, acceleration)
+        k4 = _derivative(_moved(state, h, k3), coupling, acceleration)
+        slope = _moved(_moved(_moved(k1, 2.0, k2), 2.0, k3), 1.0, k4)
+        a, b, c, x, y, z, w = _moved(state, h / 6.0, slope)
         n = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
-        x, y, z, w = x * n, y * n, z * n, w * n
-    return x, y, z, w
+        state = a, b, c, x * n, y * n, z * n, w * n
+    return state

@@ -14,6 +14,7 @@
 
 """SciPy: adaptive Runge-Kutta pairs, with the equations in plain Python."""
 
+from contenders import derivative, Equations
 import scipy
 from scipy.integrate import solve_ivp
 
@@ -26,27 +27,19 @@ STREAM_TOLERANCE = 1e-9
 STREAM_LADDER = [{}]
 
 
-class Final:
+class Final(Equations):
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, method, rtol):
         """Set the absolute tolerance to rtol / 100, because components of q cross zero."""
         self.label = f'{method} rtol={rtol:.0e}'
-        acceleration = problem.accelerations[0] if len(problem.torques) else (0.0, 0.0, 0.0)
-        self._equations = _equations(problem.coupling, [float(t) for t in acceleration])
+        self._equations = _equations(problem.coupling, problem.first_acceleration)
         self._span, self._start = (0.0, float(problem.seconds)), problem.start_vector
         self._options = {'method': method, 'rtol': rtol, 'atol': 0.01 * rtol}
-
-    def reset(self):
-        """Do nothing: each run begins at the start."""
 
     def run(self):
         """Integrate."""
         self._state = solve_ivp(self._equations, self._span, self._start, **self._options).y[:, -1]
-
-    def attitude(self):
-        """Return x y z w."""
-        return self._state[3:]
 
 
 class Stream(Final):
@@ -71,11 +64,5 @@ class Stream(Final):
 
 
 def _equations(coupling, acceleration):
-    (k1, k2, k3), (t1, t2, t3) = coupling, acceleration
-
-    def equations(time, state):
-        a, b, c, x, y, z, w = state.tolist()  # twice as fast as numpy's scalars
-        return [k1 * b * c + t1, k2 * c * a + t2, k3 * a * b + t3,
-                0.5 * (w * a + y * c - z * b), 0.5 * (w * b + z * a - x * c),
-                0.5 * (w * c + x * b - y * a), -0.5 * (x * a + y * b + z * c)]
-    return equations
+    # Plain numbers are twice as fast as numpy's scalars.
+    return lambda time, state: derivative(state.tolist(), coupling, acceleration)

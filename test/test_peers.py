@@ -58,9 +58,11 @@ def test_a_duel_is_level_only_if_the_interval_of_its_rounds_has_1_in_it():
     ours = 1e-5 * random.uniform(0.99, 1.01, pairs.ROUNDS)
     for factor, word in ((1.001, ' (level)'), (1.1, ''), (0.9, ' (behind)')):
         theirs = factor * 1e-5 * random.uniform(0.9, 1.1, pairs.ROUNDS)
-        comparison = pairs.Comparison(ours, theirs)
-        assert comparison.ratio[0] == np.median(theirs) / np.median(ours)
-        assert peers.verdict(True, comparison.ratio) == f'{comparison.ratio[0]:.3g}{word}'
+        rungs = {who: [peers.Rung(None, 'setting', 1e-9, 1e-5, times)]
+                 for who, times in ((peers.US, ours), ('peer', theirs))}
+        ratio = np.median(theirs) / np.median(ours)
+        assert peers.verdict(rungs, 1e-6) == f'{ratio:.3g}{word}'
+        assert peers.verdict(rungs, 1e-12) == '-'
 
 
 def test_contenders_run_in_turns_and_slow_ones_sit_rounds_out():
