@@ -23,20 +23,17 @@ pages (USS).
 """
 
 import argparse
-import os
-from pathlib import Path
 import statistics
 import subprocess
-import sys
 import time
 
 from geometry_msgs.msg import QuaternionStamped, WrenchStamped
+from processes import command, isolate, processor_time, SCENE
 import psutil
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rigid_body_ros import messages
 
-SCENE = Path(__file__).resolve().parent.parent / 'config' / 'tumbler.yaml'
 #: Hz
 TORQUE_RATE = 100
 
@@ -46,13 +43,10 @@ class Body:
 
     def __init__(self, observer, number, rate):
         namespace = f'/body_{number}'
-        process = subprocess.Popen(
-            [sys.executable, '-c',
-             'from rigid_body_ros.commands import main; main.attitude_node()',
-             '--ros-args', '--params-file', str(SCENE), '-r', f'__ns:={namespace}',
-             '-p', f'publish_rate:={rate}'], stderr=subprocess.DEVNULL)
-        self.process, self.states = psutil.Process(process.pid), 0
-        self._popen = process
+        self.process, self.states = psutil.Popen(
+            command('attitude_node', '--ros-args', '--params-file', SCENE, '-r',
+                    f'__ns:={namespace}', '-p', f'publish_rate:={rate}'),
+            stderr=subprocess.DEVNULL), 0
         self.torque = observer.create_publisher(WrenchStamped, f'{namespace}/torque', 10)
         observer.create_subscription(QuaternionStamped, f'{namespace}/attitude', self._on_state,
                                      100, raw=True)
@@ -60,20 +54,15 @@ class Body:
     def _on_state(self, data):
         self.states += 1
 
-    def used(self):
-        """Return the processor time so far, s."""
-        times = self.process.cpu_times()
-        return times.user + times.system
-
     def stop(self):
         """End the node."""
-        self._popen.terminate()
-        self._popen.wait()
+        self.process.terminate()
+        self.process.wait()
 
 
 def measure(executor, bodies, seconds, with_torques):
     """Return the fraction of a processor and the rate of states of each node."""
-    before = [(body.used(), body.states) for body in bodies]
+    before = [(processor_time(body.process), body.states) for body in bodies]
     began = due = time.perf_counter()
     while (now := time.perf_counter()) < began + seconds:
         if with_torques and now >= due:
@@ -83,7 +72,7 @@ def measure(executor, bodies, seconds, with_torques):
                 body.torque.publish(data)
         executor.spin_once(timeout_sec=0.001)
     taken = time.perf_counter() - began
-    return [((body.used() - used) / taken, (body.states - states) / taken)
+    return [((processor_time(body.process) - used) / taken, (body.states - states) / taken)
             for body, (used, states) in zip(bodies, before)]
 
 
@@ -94,8 +83,7 @@ def main():
     parser.add_argument('--rate', type=float, default=100.0, help='states per second, Hz')
     parser.add_argument('--seconds', type=float, default=10.0)
     arguments = parser.parse_args()
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    isolate()
     rclpy.init()
     observer, executor = rclpy.create_node('observer'), SingleThreadedExecutor()
     executor.add_node(observer)

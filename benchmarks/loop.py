@@ -22,21 +22,18 @@ processor time of the node and of the controller, which runs in this process.
 """
 
 import argparse
-import os
-from pathlib import Path
-import sys
 import time
 
 import numpy as np
+from processes import command, isolate, processor_time, SCENE
 import psutil
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rigid_body_ros.node.attitude_controller import AttitudeController
 from rigid_body_ros.node.process import executor_of, spin
 
-SCENE = Path(__file__).resolve().parent.parent / 'config' / 'tumbler.yaml'
-NODE = ['-c', 'from rigid_body_ros.commands import main; main.attitude_node()', '--ros-args',
-        '--params-file', str(SCENE), '-p', 'mode:=lockstep', '-p', 'step:=0.001']
+NODE = command('attitude_node', '--ros-args', '--params-file', SCENE, '-p', 'mode:=lockstep',
+               '-p', 'step:=0.001')
 #: Number of states in a round before timing starts, and number of timed states.
 WARM, STATES = 200, 1000
 #: s; a loop that takes longer is considered stuck.
@@ -57,8 +54,7 @@ class TimedController(AttitudeController):
         def on_state(state):
             self.count += 1
             if self.count in (WARM, WARM + STATES):
-                used = self._process.cpu_times()
-                self.marks.append((time.perf_counter(), used.user + used.system,
+                self.marks.append((time.perf_counter(), processor_time(self._process),
                                    time.process_time()))
             callback(state)
         return super().create_subscription(kind, topic, on_state, qos)
@@ -85,9 +81,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.strip().partition('\n')[0])
     parser.add_argument('--rounds', type=int, default=12)
     rounds = parser.parse_args().rounds
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
-    node = psutil.Popen([sys.executable, *NODE])
+    isolate()
+    node = psutil.Popen(NODE)
     try:
         time_round(node)  # for warming up
         times = np.median([time_round(node) for _ in range(rounds)], axis=0)

@@ -23,20 +23,14 @@ replay in this process. The input is an MCAP file compressed with zstd. 1 MB is 
 """
 
 import argparse
-import os
 from pathlib import Path
-import subprocess
-import sys
 from tempfile import TemporaryDirectory
-import time
 
 import numpy as np
+from processes import measure, SCENE
 from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.replay import replay
 
-SCENE = Path(__file__).resolve().parent.parent / 'config' / 'tumbler.yaml'
-COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.commands.main import '
-           'attitude_replay; sys.exit(attitude_replay())']
 RATE, EPOCH_NS = 1000, 1_767_225_600_123_456_789
 #: Number of messages that are generated at a time.
 PART = 100_000
@@ -61,18 +55,6 @@ def torques(rows, random):
     return 5e-3 * waves + 1e-3 * random.standard_normal((len(rows), 3))
 
 
-def measure(path, output):
-    """Replay with the command; return the time, s, and the peak memory, bytes."""
-    began = time.perf_counter()
-    with subprocess.Popen([*COMMAND, path, '--scene', SCENE, '-o', output, '--overwrite'],
-                          stdout=subprocess.DEVNULL) as process:
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f'attitude_replay: exit status {process.returncode}')
-    return time.perf_counter() - began, usage.ru_maxrss * 1024
-
-
 def main():
     """Measure, print the table, and mark required values that are not met."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
@@ -83,7 +65,9 @@ def main():
     with TemporaryDirectory() as folder:
         path, output = Path(folder, 'torque.mcap'), Path(folder, 'motion.mcap')
         record(path, count)
-        seconds, memory = np.median([measure(path, output) for _ in range(options.rounds)], axis=0)
+        seconds, memory = np.median([
+            measure('attitude_replay', path, '--scene', SCENE, '-o', output, '--overwrite')
+            for _ in range(options.rounds)], axis=0)
         # Do this last: a process counts the memory of its parent as its own.
         parts = replay(path, scene.load(SCENE), output).seconds
     print(f'{"":16}{"found":>10}{"bar":>10}')
