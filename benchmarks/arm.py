@@ -15,7 +15,7 @@
 """
 Compare the results of this machine with those of a 64-bit ARM machine, bit for bit.
 
-    python benchmarks/arm.py [--count N]        (or: make arm)
+    python benchmarks/arm.py        (or: make arm)
 
 The same motions are computed three times: on this machine, on this machine as on an older x86-64
 processor, and on ARM, which QEMU emulates (`arm_machine.py`). The motions are random ones through
@@ -24,7 +24,6 @@ here, and ARM compares its results with the committed vectors (`vectors.py`). Th
 if a bit differs.
 """
 
-import argparse
 import os
 import subprocess
 import sys
@@ -35,11 +34,11 @@ from arm_machine import FOLDER, ROOT
 import bits
 import numpy as np
 import portable
+from processes import command
 from rigid_body_ros import TorqueLog
 
 sys.path.insert(0, str(ROOT / 'test'))
-from conftest import program  # noqa: E402, I100
-from scenes import SCENES  # noqa: E402
+from scenes import SCENES  # noqa: E402, I100
 
 #: rad; solvers with steps compute only this much of a longer scene.
 LONGEST = 1000.0
@@ -106,7 +105,7 @@ def verified():
     """Replay a recording on ARM and verify the motion here; return whether all bits agree."""
     motion = FOLDER / 'motion.mcap'
     motion.unlink(missing_ok=True)
-    _, *replay = program('attitude_replay')
+    _, *replay = command('attitude_replay')
     arguments = [ROOT / 'test' / 'recordings' / 'tumbler.mcap', '--scene',
                  ROOT / 'config' / 'tumbler.yaml']
     arm_machine.run(*replay, *arguments, '-o', motion)
@@ -125,17 +124,13 @@ def has_committed_bits():
 
 def main():
     """Compare the machines; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
-    parser.add_argument('--count', type=int, default=bits.COUNT,
-                        help=f'random motions; {bits.COUNT} by default')
-    count = parser.parse_args().count
     try:
         arm_machine.install()
     except arm_machine.UnavailableError as error:
         print(f'arm: {error}', file=sys.stderr)
         return 2
     with MOTIONS.open('wb') as file:
-        portable.Writer(file).dump(motions(count))
+        portable.Writer(file).dump(motions(bits.COUNT))
     here, _ = computed(HERE)
     same = True
     for machine in (OLD, ARM):

@@ -29,14 +29,7 @@ from typing import NamedTuple
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 import numpy as np  # noqa: E402
-from rigid_body_ros import (  # noqa: E402
-    Experiment,
-    identify,
-    Measured,
-    RigidBody,
-    State,
-    TorqueLog,  # noqa: E402
-)
+import rigid_body_ros as ros  # noqa: E402
 from rigid_body_ros.common.arrays import ENTRIES  # noqa: E402
 from simulated import INERTIA, LITTLE, named, recordings, RIGHT, WRONG  # noqa: E402
 from tables import header, row  # noqa: E402
@@ -51,17 +44,18 @@ def experiment(kind, recording):
     """Return what was logged of a recording."""
     measured = []
     if kind.has_attitude:
-        measured.append(Measured('/mocap', recording.attitude_ns, recording.attitude, None))
+        measured.append(ros.Measured('/mocap', recording.attitude_ns, recording.attitude, None))
     if kind.has_rates:
-        measured.append(Measured('/imu', recording.rate_ns, None, recording.rates))
-    return Experiment(State(0, *recording.start),
-                      TorqueLog(recording.torque_ns, recording.torques), measured)
+        measured.append(ros.Measured('/imu', recording.rate_ns, None, recording.rates))
+    return ros.Experiment(ros.State(0, *recording.start),
+                          ros.TorqueLog(recording.torque_ns, recording.torques), measured)
 
 
 def fit(kind, recording, **options):
     """Fit a recording with `identify` and these options, and return the result."""
-    guess = RigidBody.from_moments(*(kind.guess or (0.03, 0.03, 0.03)))
-    return identify(guess, experiment(kind, recording), **{'estimate': kind.estimate, **options})
+    guess = ros.RigidBody.from_moments(*(kind.guess or (0.03, 0.03, 0.03)))
+    return ros.identify(guess, experiment(kind, recording),
+                        **{'estimate': kind.estimate, **options})
 
 
 class Outcome(NamedTuple):

@@ -48,13 +48,13 @@ def errors(command):
         checked = subprocess.run([sys.executable, FOLDER / 'check.py', results], text=True,
                                  stdout=subprocess.PIPE, check=True)
     rows = [line.strip('| ').split(' | ') for line in checked.stdout.splitlines()[2:]]
-    return {row[0]: row[1] for row in rows} | {'': [row[-1] for row in rows]}
+    return {row[0]: row[1] for row in rows}
 
 
 def main():
     """Run all engines, and write the table into the page."""
     found = {name: table for name, command in ENGINES.items() if (table := errors(command))}
-    motions = [name for name in next(iter(found.values())) if name]
+    motions = next(iter(found.values()))
     lines = [*header('motion', *found),
              *(row(motion, *(table[motion] for table in found.values())) for motion in motions)]
     page = FOLDER / 'README.md'

@@ -27,10 +27,10 @@ STREAM_LADDER = [{}]
 class Final:
     """The state at the end, under at most one torque."""
 
-    def __init__(self, problem, tol=None):
-        """Take heyoka's tolerance; None means its default, eps."""
-        self.label = f'tol={tol or "default"}'
-        self._integrator = _integrator(problem, problem.first_acceleration, tol)
+    def __init__(self, problem, **options):
+        """Take heyoka's tolerance, `tol`, or use its default, eps."""
+        self.label = f'tol={options.get("tol", "default")}'
+        self._integrator = _integrator(problem, problem.first_acceleration, **options)
         self._start, self._end = problem.start_vector, float(problem.seconds)
 
     def reset(self):
@@ -53,7 +53,8 @@ class Stream(Final):
     def __init__(self, problem):
         """Compile the equations once for all torques."""
         self.label = f'propagate_for, tol={STREAM_TOLERANCE}'
-        self._integrator = _integrator(problem, [hy.par[i] for i in range(3)], STREAM_TOLERANCE)
+        self._integrator = _integrator(problem, [hy.par[i] for i in range(3)],
+                                       tol=STREAM_TOLERANCE)
         self._start = problem.start_vector
         self._accelerations, self._hold = problem.accelerations, problem.hold_ns * 1e-9
 
@@ -65,8 +66,7 @@ class Stream(Final):
             propagate_for(self._hold)
 
 
-def _integrator(problem, acceleration, tol):
+def _integrator(problem, acceleration, **options):
     state = hy.make_vars('a', 'b', 'c', 'x', 'y', 'z', 'w')
     equations = [*zip(state, derivative(state, problem.coupling, acceleration))]
-    return hy.taylor_adaptive(equations, problem.start_vector,
-                              **({} if tol is None else {'tol': tol}))
+    return hy.taylor_adaptive(equations, problem.start_vector, **options)

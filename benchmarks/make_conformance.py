@@ -45,13 +45,11 @@ def true_rows(values):
     """Return the times, ns, and the true attitudes and angular velocities."""
     rows, end_ns = values['torques_t_ns_x_y_z'], values['end_ns']
     times_ns = sorted({end_ns * k // OUTPUTS for k in range(1, OUTPUTS + 1)})
-    marks = sorted({0, *times_ns, *(row[0] for row in rows)})
-    stamps = np.array([row[0] for row in rows], np.int64)
-    torques = []
-    for begin_ns, end in pairwise(marks):
-        before = int(np.searchsorted(stamps, begin_ns, 'right')) - 1
-        torques.append((end - begin_ns, rows[before][1:] if before >= 0 else [0.0] * 3,
-                        values['torque_frame'] == 'space'))
+    given, torque, torques = {row[0]: row[1:] for row in rows}, [0.0] * 3, []
+    marks = sorted({0, *times_ns, *given})
+    for begin_ns, next_ns in pairwise(marks):
+        torque = given.get(begin_ns, torque)
+        torques.append((next_ns - begin_ns, torque, values['torque_frame'] == 'space'))
     field, orbit = values.get('uniform_field'), values.get('orbit')
     states = truth.series(
         symmetric(values['inertia_xx_yy_zz_xy_xz_yz']), values['attitude_xyzw'],

@@ -31,11 +31,7 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 import numpy as np  # noqa: E402
 from rigid_body_ros import Problem, RigidBody, so3, State, TorqueLog  # noqa: E402
-from rigid_body_ros.inference.monitor import (  # noqa: E402
-    ERROR,  # noqa: E402
-    Monitor,
-    Settings,
-)
+from rigid_body_ros.inference.monitor import ERROR, Monitor, Settings  # noqa: E402
 from scipy.signal import lfilter  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 from tables import header, row  # noqa: E402

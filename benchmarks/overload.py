@@ -17,16 +17,14 @@ Send more torques than the node can process, and account for each.
 
     python benchmarks/overload.py [--seconds 30] [--rate 5000]
 
-A separate process sends torques late and out of order, some of them invalid. Two more processes
-keep the processors busy. Meanwhile the node must respond to service calls and publish diagnostics.
+A separate process sends the torques of `soak.py`, but half of them late. Two more processes keep
+the processors busy. Meanwhile the node must respond to service calls and publish diagnostics.
 Afterwards it must return to real time. A second load ends with SIGINT, and a replay of the log
 must reproduce the committed states.
 """
 
 import argparse
 from contextlib import contextmanager
-import math
-import os
 from pathlib import Path
 import select
 import subprocess
@@ -35,35 +33,24 @@ from tempfile import TemporaryDirectory
 import time
 
 import numpy as np
+from processes import domain
 from rcl_interfaces.srv import GetParameters
 from rclpy.time import Time
 from rigid_body_ros import messages
-from rigid_body_ros.live.events import (
-    APPLIED,
-    CAUSES,
-    FRAME,
-    LOST,
-    MALFORMED,
-    MISSED,
-    NOT_FINITE,
-    RECEIVED,
-    rejections,
-    WAITING,
-)
+from rigid_body_ros.live import events
 
 sys.path.extend(str(Path(__file__).resolve().parent.parent / name)
                 for name in ('examples', 'test'))
 from live import replayed, TUMBLER  # noqa: E402, I100
 from live_session import LiveSession  # noqa: E402
-from soak import Line, printed, replayed_bits  # noqa: E402
+from soak import DELAYED, Line, Plan, printed, replayed_bits, SHARES  # noqa: E402
 
-SEED = 23
-#: s; largest delay of a torque, and duration of the load before SIGINT.
-LATEST, LAST = 0.4, 3.0
+#: s; duration of the load before SIGINT.
+LAST = 3.0
 #: s; limits for a service call, between two diagnostics, and for the return to real time.
 SERVICE, DIAGNOSIS, RECOVERY = 1.0, 2.0, 5.0
-#: Causes of rejection, and the fraction of torques with each.
-BAD = {MALFORMED: 0.01, FRAME: 0.01, NOT_FINITE: 0.01}
+#: Fraction of the torques that are late.
+LATE = 0.5
 
 
 def send(rate, seconds):
@@ -78,30 +65,16 @@ def send(rate, seconds):
     while not publisher.get_subscription_count():
         time.sleep(0.01)
     time.sleep(0.5)  # the node must discover this publisher first
-    random, count = np.random.default_rng(SEED), round(rate * seconds)
-    causes = random.choice(['', *BAD], count, p=[1.0 - sum(BAD.values()), *BAD.values()])
-    delays = (random.random(count) * LATEST * 1e9 * (random.random(count) < 0.5)).astype(int)
-    torques = random.normal(0.0, 0.01, (count, 3)).tolist()
-    began = time.monotonic()
-    for row in range(count):
-        wait = began + row / rate - time.monotonic()
-        if wait > 0.0:
-            time.sleep(wait)
-        stamp_ns = node.get_clock().now().nanoseconds - int(delays[row])
-        publisher.publish(_message(causes[row], stamp_ns, torques[row]))
+    plan = Plan(seconds, rate, node.get_clock().now().nanoseconds, {**SHARES, DELAYED: LATE})
+    for row, due_ns in enumerate(plan.due_ns.tolist()):
+        time.sleep(max(0, due_ns - node.get_clock().now().nanoseconds) * 1e-9)
+        publisher.publish(plan.message(row))
     end_ns = node.get_clock().now().nanoseconds
     # One more torque, which reveals a gap before it.
     time.sleep(1.0)
-    publisher.publish(messages.wrench(node.get_clock().now().nanoseconds, '', torques[0]))
-    print(count + 1, end_ns, flush=True)
+    publisher.publish(messages.wrench(node.get_clock().now().nanoseconds, '', [0.01, 0.0, 0.0]))
+    print(len(plan) + 1, end_ns, flush=True)
     time.sleep(1.0)
-
-
-def _message(cause, stamp_ns, torque):
-    if cause == NOT_FINITE:
-        torque = [math.nan, 0.0, 0.0]
-    data = messages.wrench(stamp_ns, 'map' if cause == FRAME else '', torque)
-    return data[:-8] if cause == MALFORMED else data
 
 
 @contextmanager
@@ -154,12 +127,13 @@ def overload(rate, seconds, domain):
             ending = time.monotonic() - began
         run = replayed(Path(folder), live)
     stamps = [_stamp_ns(array) * 1e-9 for array in live.diagnostics]
-    rejected = sum(counts[rejections(cause)] for cause in CAUSES)
-    print(f'sent {sent}: applied {counts[APPLIED]}, rejected {rejected}, {LOST} {counts[LOST]}; '
+    rejected = sum(counts[events.rejections(cause)] for cause in events.CAUSES)
+    received, lost, applied = map(counts.get, (events.RECEIVED, events.LOST, events.APPLIED))
+    print(f'sent {sent}: applied {applied}, rejected {rejected}, {events.LOST} {lost}; '
           f'ended in {ending:.2g} s')
-    return [Line('sent, received or lost', counts[RECEIVED] + counts[LOST], sent),
-            Line('received, applied or rejected', counts[APPLIED] + rejected, counts[RECEIVED]),
-            Line(WAITING, counts[WAITING], 0),
+    return [Line('sent, received or lost', received + lost, sent),
+            Line('received, applied or rejected', applied + rejected, received),
+            Line(events.WAITING, counts[events.WAITING], 0),
             Line('longest service call, s', latency, SERVICE, True),
             Line('longest time between diagnostics, s', max(np.diff(stamps)), DIAGNOSIS, True),
             Line('until real time again, s', recovery, RECOVERY, True),
@@ -192,8 +166,8 @@ def _recovery(live, end_ns):
 
 def _is_in_real_time(diagnosis):
     torques, motion = diagnosis.status
-    waiting, = (int(pair.value) for pair in torques.values if pair.key == WAITING)
-    return not waiting and MISSED not in motion.message
+    waiting, = (int(pair.value) for pair in torques.values if pair.key == events.WAITING)
+    return not waiting and events.MISSED not in motion.message
 
 
 def _stamp_ns(diagnosis):
@@ -203,15 +177,14 @@ def _stamp_ns(diagnosis):
 def main():
     """Print the table, and mark values beyond their limits."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
-    parser.add_argument('--rate', type=float, default=5000.0, help='Hz')
+    parser.add_argument('--rate', type=int, default=5000, help='Hz')
     parser.add_argument('--seconds', type=float, default=30.0)
     parser.add_argument('--send', action='store_true', help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.send:
         send(arguments.rate, arguments.seconds)
         return 0
-    domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
-    return printed(overload(arguments.rate, arguments.seconds, domain))
+    return printed(overload(arguments.rate, arguments.seconds, domain()))
 
 
 if __name__ == '__main__':

@@ -85,13 +85,9 @@ def in_turns(contenders, seconds, patience=math.inf):
 
 def quick(contender):
     """Estimate the time of a run, s, to choose between settings of one peer."""
-    repeats = _repeats(contender)
-    return min(_mean(contender, repeats) for _ in range(3))
-
-
-def _repeats(contender):
     _mean(contender, 1)
-    return 1 + int(LEAST / _mean(contender, 2))
+    repeats = 1 + int(LEAST / _mean(contender, 2))
+    return min(_mean(contender, repeats) for _ in range(3))
 
 
 def _mean(contender, repeats):

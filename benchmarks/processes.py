@@ -41,10 +41,14 @@ def measure(name, *arguments):
     return time.perf_counter() - began, usage.ru_maxrss * 1024
 
 
+def domain():
+    """Return the ROS domain of the environment, or one that other processes hardly use."""
+    return int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
+
+
 def isolate():
     """Let the nodes of this process and of its children receive messages of each other only."""
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    os.environ |= {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': str(domain())}
 
 
 def processor_time(process):

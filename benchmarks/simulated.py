@@ -21,8 +21,10 @@ steps of 5 ms.
 """
 
 from dataclasses import dataclass, field
+import zlib
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 STEP = 0.005
 #: Rates of the torques and of the sensors, Hz.
@@ -346,7 +348,6 @@ def coloured(random, shape, colour):
 
 def sampled(times, values, at):
     """Interpolate between steps by the cubic through four of them."""
-    from scipy.interpolate import CubicSpline
     return CubicSpline(times, values)(at)
 
 
@@ -368,7 +369,6 @@ def recordings(kind, seeds, level=1.0):
     list of Recording
 
     """
-    import zlib
     random = [np.random.default_rng((zlib.crc32(kind.name.encode()), seed)) for seed in seeds]
     torques = commanded(kind, random)
     torque, start = acting(kind, torques, random), started(random)

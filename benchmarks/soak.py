@@ -25,7 +25,6 @@ finally compares this with what it sent. For ten minutes, the replay takes 2 GB 
 
 import argparse
 import math
-import os
 from pathlib import Path
 import sys
 from tempfile import TemporaryDirectory
@@ -33,24 +32,10 @@ import time
 from typing import NamedTuple
 
 import numpy as np
+from processes import domain, processor_time
 import psutil
 from rigid_body_ros import messages, recording
-from rigid_body_ros.live.events import (
-    APPLIED,
-    CAUSES,
-    FORCE,
-    FRAME,
-    FUTURE,
-    LATE,
-    LOST,
-    MALFORMED,
-    NOT_FINITE,
-    RECEIVED,
-    rejections,
-    REPLACED,
-    TOO_LARGE,
-    WAITING,
-)
+from rigid_body_ros.live import events
 from rigid_body_ros.scene import InputError
 
 sys.path.extend(str(Path(__file__).resolve().parent.parent / name)
@@ -58,23 +43,27 @@ sys.path.extend(str(Path(__file__).resolve().parent.parent / name)
 from live import decoded, replayed, TUMBLER  # noqa: E402, I100
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE  # noqa: E402
 
-RATE, STEP_NS, SEED = 1000, 10 ** 6, 17
+#: Hz, and the seed of the torques.
+RATE, SEED = 1000, 17
 #: A queue so deep that no torque is lost while the machine is busy for a minute.
 DEEP = ('-p', 'qos_overrides./torque.subscription.depth:=100000')
 #: Torques that are not simply sent in order, and the fraction of each kind.
 REPEATED, DELAYED, FORCED = 'repeated', 'delayed', 'forced'
-SHARES = {MALFORMED: 0.01, FRAME: 0.01, NOT_FINITE: 0.01, TOO_LARGE: 0.01, FUTURE: 0.01,
-          LATE: 0.01, REPEATED: 0.02, DELAYED: 0.01, FORCED: 0.01}
-#: Longest delay of a torque, in steps, well below the node's `history`.
-LONGEST_DELAY = 500
+SHARES = {REPEATED: 0.02} | dict.fromkeys([
+    events.MALFORMED, events.FRAME, events.NOT_FINITE, events.TOO_LARGE, events.FUTURE,
+    events.LATE, DELAYED, FORCED], 0.01)
+#: s; longest delay of a torque, well below the node's `history`.
+LONGEST_DELAY = 0.5
 #: For how many steps torques are held back, to be sent all at once, and how often, in steps.
 BURST, BURST_EVERY = 20, 1000
 STALL, STALL_EVERY = 100, 10_000
+#: In pauses of this length, the driver does not receive either.
+SILENCE_NS = 50_000_000
 #: Allowed growth of memory, MB, after SETTLED, s, when the queues of the log (10 000) are full.
 GROWTH, SETTLED = 5.0, 60.0
 PROCESSOR_TIME = 'processor time, us per torque'
-#: Limit of the processor time: three quarters of one processor.
-PROCESSOR = 0.75e6 / RATE
+#: Limit of the processor time: this fraction of one processor.
+PROCESSOR = 0.75
 #: s; how long counting the last torques may take.
 PATIENCE = 60.0
 
@@ -97,6 +86,15 @@ class Plan:
     """
     What to send and when; relative to the start, it is the same in every run.
 
+    Parameters
+    ----------
+    seconds, rate : float, int
+        Duration, s, and number of torques per second.
+    start_ns : int
+        The time at which to begin.
+    shares : dict
+        The fraction of each kind.
+
     Attributes
     ----------
     due_ns : array of int64, shape (n,)
@@ -112,28 +110,28 @@ class Plan:
 
     """
 
-    def __init__(self, seconds, start_ns):
+    def __init__(self, seconds, rate, start_ns, shares=SHARES):
         random = np.random.default_rng(SEED)
-        count = round(seconds * RATE)
+        count, step_ns = round(seconds * rate), 10 ** 9 // rate
         slots = np.arange(count)
-        names = ['', *SHARES]
-        causes = random.choice(len(names), count, p=[1.0 - sum(SHARES.values()), *SHARES.values()])
+        names = ['', *shares]
+        causes = random.choice(len(names), count, p=[1.0 - sum(shares.values()), *shares.values()])
         causes[:BURST] = 0  # a torque can only be late after another one
-        stamps = slots * STEP_NS + random.integers(0, STEP_NS, count)
+        stamps = slots * step_ns + random.integers(0, step_ns, count)
         repeated = np.flatnonzero(causes == names.index(REPEATED))
         stamps[repeated] = stamps[repeated - 1]
-        delays = random.integers(0, LONGEST_DELAY, count)
-        due = (slots + 1 + np.where(causes == names.index(DELAYED), delays, 0)) * STEP_NS
+        delays = random.integers(0, round(LONGEST_DELAY * rate), count)
+        due = (slots + 1 + np.where(causes == names.index(DELAYED), delays, 0)) * step_ns
         for size, every in ((BURST, BURST_EVERY), (STALL, STALL_EVERY)):
-            place = (due // STEP_NS - every // 2) % every
-            due += np.where(place < size, size - place, 0) * STEP_NS
+            place = (due // step_ns - every // 2) % every
+            due += np.where(place < size, size - place, 0) * step_ns
         order = np.argsort(due, kind='stable')
         self.due_ns, self.stamps_ns = start_ns + due[order], start_ns + stamps[order]
         self.causes = [names[cause] for cause in causes[order]]
         # One in ten torques is zero; consecutive zeros make a coast.
         self.torques = random.normal(0.0, 0.02, (count, 3)) * (random.random((count, 1)) > 0.1)
         self.frame_ids = random.choice(['', 'base_link', 'world'], count).tolist()
-        self.valid = np.array([cause not in CAUSES for cause in self.causes])
+        self.valid = np.array([cause not in events.CAUSES for cause in self.causes])
 
     def __len__(self):
         return len(self.causes)
@@ -142,20 +140,20 @@ class Plan:
         """Return the message to send, encoded as CDR."""
         cause, torque, frame_id = self.causes[row], self.torques[row], self.frame_ids[row]
         stamp_ns = int(self.stamps_ns[row])
-        if cause == NOT_FINITE:
+        if cause == events.NOT_FINITE:
             torque = np.roll([(math.nan, math.inf, -math.inf)[row // 3 % 3], 0.0, 0.0], row)
-        elif cause == TOO_LARGE:
+        elif cause == events.TOO_LARGE:
             torque = np.roll([(1e9, 1e300)[row // 3 % 2], 0.0, 0.0], row)
-        elif cause == FRAME:
+        elif cause == events.FRAME:
             frame_id = ('map', 'World', 'base_link ', 'Ω')[row % 4]
-        elif cause == FUTURE:
+        elif cause == events.FUTURE:
             stamp_ns += (100, 7200)[row % 2] * 10 ** 9
-        elif cause == LATE:  # by `history`, or by the clock
+        elif cause == events.LATE:  # by `history`, or by the clock
             stamp_ns -= (2, 7200)[row % 2] * 10 ** 9
         elif cause == FORCED:
             return messages.WRENCH.encode(stamp_ns, frame_id, [1.0, 0.0, 0.0, *torque])
         data = messages.wrench(stamp_ns, frame_id, torque)
-        return _corrupted(data, row) if cause == MALFORMED else data
+        return _corrupted(data, row) if cause == events.MALFORMED else data
 
 
 def _corrupted(data, row):
@@ -170,7 +168,7 @@ class Usage:
     """Memory of a process, MB, over time, s, sampled once a second."""
 
     def __init__(self, process):
-        self._process = psutil.Process(process.pid)
+        self._process = process
         self._began = time.monotonic()
         self.curve = []
 
@@ -179,11 +177,6 @@ class Usage:
         now = time.monotonic() - self._began
         if now >= len(self.curve):
             self.curve.append((now, self._process.memory_info().rss * 1e-6))
-
-    def processor(self):
-        """Return the processor time so far, s."""
-        times = self._process.cpu_times()
-        return times.user + times.system
 
     def growth(self):
         """Return the largest growth of memory, MB, after it has settled."""
@@ -194,11 +187,10 @@ class Usage:
 
 def drive(live, plan, usage):
     """Send the torques of a plan when they are due."""
-    stall_ns = STALL * STEP_NS
     for row, due_ns in enumerate(plan.due_ns.tolist()):
         rest_ns = due_ns - live.now_ns()
-        if rest_ns >= stall_ns // 2:
-            time.sleep(rest_ns * 1e-9)  # the driver does not receive either
+        if rest_ns >= SILENCE_NS:
+            time.sleep(rest_ns * 1e-9)
         elif rest_ns > 0:
             live.spin(rest_ns * 1e-9)
         live.publish_bytes(plan.message(row))
@@ -208,9 +200,9 @@ def drive(live, plan, usage):
                                f'{live.words()}')
 
 
-def soak(seconds, domain):
+def soak(seconds, domain, rate=RATE):
     """
-    Run the node for some seconds, in a ROS domain.
+    Run the node for some seconds, in a ROS domain, with this many torques per second.
 
     Returns
     -------
@@ -219,41 +211,42 @@ def soak(seconds, domain):
     """
     with TemporaryDirectory() as folder, \
             LiveSession(TUMBLER, domain, *RELIABLE, *DEEP) as live:
-        plan, usage = Plan(seconds, live.now_ns()), Usage(live.process)
-        before = usage.processor()
+        process = psutil.Process(live.process.pid)
+        plan, usage = Plan(seconds, rate, live.now_ns()), Usage(process)
+        before = processor_time(process)
         drive(live, plan, usage)
         # Wait, because counts are published only once a second.
         until = time.monotonic() + PATIENCE
         while time.monotonic() < until and unfinished(live.diagnosis('torques')[0], len(plan)):
             live.spin(0.1)
-        processor = usage.processor() - before
+        processor = processor_time(process) - before
         live.dump_parameters(Path(folder, 'live.yaml'))
         status = live.stop()
         return [*counted(live, plan), *published(live, plan, Path(folder)),
                 Line('memory growth, MB', usage.growth(), GROWTH, True),
-                Line(PROCESSOR_TIME, processor / len(plan) * 1e6, PROCESSOR, True),
+                Line(PROCESSOR_TIME, processor / len(plan) * 1e6, PROCESSOR / rate * 1e6, True),
                 Line('exit status', status, 0)]
 
 
 def unfinished(counts, sent):
     """Return whether torques are still in transit or waiting."""
-    return counts[RECEIVED] < sent or counts[WAITING] > 0
+    return counts[events.RECEIVED] < sent or counts[events.WAITING] > 0
 
 
 def counted(live, plan):
     """Compare the node's counts with what was sent."""
     counts, valid = live.diagnosis('torques')[0], plan.stamps_ns[plan.valid]
-    rejected = {cause: counts[rejections(cause)] for cause in CAUSES}
-    return [Line(RECEIVED, counts[RECEIVED], len(plan)),
-            Line('applied and rejected', counts[APPLIED] + sum(rejected.values()),
-                 counts[RECEIVED]),
-            *(Line(rejections(cause), found, plan.causes.count(cause))
+    rejected = {cause: counts[events.rejections(cause)] for cause in events.CAUSES}
+    return [Line(events.RECEIVED, counts[events.RECEIVED], len(plan)),
+            Line('applied and rejected', counts[events.APPLIED] + sum(rejected.values()),
+                 counts[events.RECEIVED]),
+            *(Line(events.rejections(cause), found, plan.causes.count(cause))
               for cause, found in rejected.items()),
-            Line(APPLIED, counts[APPLIED], valid.size),
-            Line(REPLACED, counts[REPLACED], valid.size - np.unique(valid).size),
-            Line(FORCE, counts[FORCE], plan.causes.count(FORCED)),
-            Line(LOST, counts[LOST], 0),
-            Line('messages accepted', len(live.torques), counts[APPLIED])]
+            Line(events.APPLIED, counts[events.APPLIED], valid.size),
+            Line(events.REPLACED, counts[events.REPLACED], valid.size - np.unique(valid).size),
+            Line(events.FORCE, counts[events.FORCE], plan.causes.count(FORCED)),
+            Line(events.LOST, counts[events.LOST], 0),
+            Line('messages accepted', len(live.torques), counts[events.APPLIED])]
 
 
 def published(live, plan, folder):
@@ -297,8 +290,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--seconds', type=float, default=600.0)
     seconds = parser.parse_args().seconds
-    domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
-    return printed(soak(seconds, domain))
+    return printed(soak(seconds, domain()))
 
 
 if __name__ == '__main__':
