@@ -20,7 +20,7 @@ import subprocess
 import sys
 
 import browser
-from conftest import CONFIG, EPOCH_NS, limit_trades, RECORDINGS, SECOND
+from conftest import CONFIG, EPOCH_NS, limit_trades, RECORDINGS, SECOND, write_torques
 import numpy as np
 import pytest
 from rigid_body_ros import messages, read, recording
@@ -57,27 +57,20 @@ def page(chromium, path):
 def others(tmp_path_factory):
     """Return the pages of the other commands, by name."""
     folder = tmp_path_factory.mktemp('others')
+    motion, vary = folder / 'motion.mcap', folder / 'vary.yaml'
+    vary.write_text('torque_gain: {normal: 0.03}\n')
+    assert main.attitude_replay([*TUMBLER, '-o', str(motion), '--also', 'input']) == 0
+    commands = {'compare': [motion, '--measured', '/attitude', '--horizon', 2, '--horizon', 10],
+                'tradeoff': ['--recording', TUMBLER[0]],
+                'identify': [motion, '--measured', '/attitude', '-o', folder / 'fitted.yaml'],
+                'ensemble': ['--recording', TUMBLER[0], '--vary', vary, '--runs', 50, '--times', 1,
+                             '-o', folder / 'runs']}
     with pytest.MonkeyPatch.context() as monkeypatch:
         limit_trades(monkeypatch)
-        return write_pages(folder)
-
-
-def write_pages(folder):
-    motion, pages = str(folder / 'motion.mcap'), {}
-    (folder / 'vary.yaml').write_text('torque_gain: {normal: 0.03}\n')
-    assert main.attitude_replay([*TUMBLER, '-o', motion, '--also', 'input']) == 0
-    for name, command, *arguments in (
-            ('compare', main.attitude_compare, motion, '--measured', '/attitude', '--horizon', '2',
-             '--horizon', '10'),
-            ('tradeoff', main.attitude_tradeoff, '--recording', TUMBLER[0]),
-            ('identify', main.attitude_identify, motion, '--measured', '/attitude', '-o',
-             str(folder / 'fitted.yaml')),
-            ('ensemble', main.attitude_ensemble, '--recording', TUMBLER[0], '--vary',
-             str(folder / 'vary.yaml'), '--runs', '50', '--times', '1', '-o',
-             str(folder / 'runs'))):
-        pages[name] = folder / f'{name}.html'
-        assert command([*arguments, *TUMBLER[1:], '--report', str(pages[name])]) == 0, name
-    return pages
+        for name, arguments in commands.items():
+            assert getattr(main, f'attitude_{name}')([*map(str, (
+                *arguments, *TUMBLER[1:], '--report', folder / f'{name}.html'))]) == 0, name
+    return {name: folder / f'{name}.html' for name in commands}
 
 
 def reported(path, *arguments):
@@ -216,35 +209,19 @@ def test_zoom_in_one_chart_zooms_all(page):
     assert times_shown(page) == whole
 
 
+def brightness(colour):
+    return max(map(int, re.findall(r'\d+', colour)[:3]))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(('scheme', 'width'), [('light', 390), ('dark', 1280)])
-def test_nothing_is_wider_than_the_window(chromium, path, scheme, width):
+def test_a_page_fits_its_window_and_the_slider_stays_in_sight(chromium, path, scheme, width):
     with browser.opened(chromium, path, width, color_scheme=scheme) as page:
         assert page.evaluate('document.documentElement.scrollWidth') == width
         paper, ink = (page.evaluate(f'getComputedStyle(document.body).{name}')
                       for name in ('backgroundColor', 'color'))
         light, dark = (paper, ink) if scheme == 'light' else (ink, paper)
         assert brightness(light) > 200 > 50 > brightness(dark)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('width', [390, 1280])
-def test_a_table_of_estimates_is_not_cut(chromium, others, width):
-    with browser.opened(chromium, others['identify'], width) as page:
-        box, name = page.locator('main .wide-table'), page.locator('td:first-child').first
-        left = name.bounding_box()['x']
-        is_cut = box.evaluate('box => box.scrollWidth > box.clientWidth')
-        assert is_cut == (width == 390)
-        box.evaluate('box => box.scrollTo(box.scrollWidth, 0)')
-        unit, around = page.locator('td:last-child').first.bounding_box(), box.bounding_box()
-        assert unit['x'] + unit['width'] <= around['x'] + around['width'] + 1.0 <= width
-        assert name.bounding_box()['x'] == pytest.approx(left, abs=1.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('width', [390, 1280])
-def test_the_slider_stays_in_sight_and_the_body_fills_its_place(chromium, path, width):
-    with browser.opened(chromium, path, width) as page:
         body, facts = (page.locator(name).bounding_box() for name in ('#moving', '#facts'))
         if width > 1000:
             assert facts['x'] > body['x'] + body['width']
@@ -262,21 +239,29 @@ def test_the_slider_stays_in_sight_and_the_body_fills_its_place(chromium, path, 
             const rows = Array.from({length: h}, (_, y) => y).filter(isDrawn);
             return (rows[rows.length - 1] - rows[0]) / Math.min(w, h);
         }""")
-        assert 0.7 < height < 1.0
+        assert 0.7 < height < 1.0  # the body fills its place
 
 
-def brightness(colour):
-    return max(map(int, re.findall(r'\d+', colour)[:3]))
+@pytest.mark.slow
+@pytest.mark.parametrize('width', [390, 1280])
+def test_a_table_of_estimates_is_not_cut(chromium, others, width):
+    with browser.opened(chromium, others['identify'], width) as page:
+        box, name = page.locator('main .wide-table'), page.locator('td:first-child').first
+        left = name.bounding_box()['x']
+        is_cut = box.evaluate('box => box.scrollWidth > box.clientWidth')
+        assert is_cut == (width == 390)
+        box.evaluate('box => box.scrollTo(box.scrollWidth, 0)')
+        unit, around = page.locator('td:last-child').first.bounding_box(), box.bounding_box()
+        assert unit['x'] + unit['width'] <= around['x'] + around['width'] + 1.0 <= width
+        assert name.bounding_box()['x'] == pytest.approx(left, abs=1.0)
 
 
 @pytest.mark.slow
 def test_names_from_a_recording_stay_text(chromium, tmp_path):
     topic = '/</script><script>alert(1)</script>'
     name = '<img src=x onerror=alert(2)>.mcap'
-    with recording.Writer(tmp_path / name) as writer:
-        writer.add_topic(topic, messages.WRENCH)
-        for stamp_ns in range(EPOCH_NS, EPOCH_NS + 3 * SECOND, SECOND):
-            writer.write(topic, stamp_ns, messages.wrench(stamp_ns, '', (0.0, 0.0, 1e-3)))
+    write_torques(tmp_path / name, [(EPOCH_NS + k * SECOND, '', (0.0, 0.0, 1e-3))
+                                    for k in range(3)], topic)
     target = reported(tmp_path / 'page.html', tmp_path / name, *TUMBLER[1:], '--topic', topic)
     with browser.opened(chromium, target) as page:
         assert page.text_content('.source') == f'{name}: {topic}'
@@ -294,22 +279,17 @@ def test_the_ellipsoid_is_shown_for_a_motion_without_torque(chromium, path, tmp_
             assert page.is_visible('#poinsot') == visible
 
 
-def recorded_spike(path, count):
-    """Write torques of 1 mN m at 1 kHz with one sample of 1 N m; return its time, s."""
-    torques, spike = np.full((count, 6), 1e-3) * ([0.0] * 3 + [1.0] * 3), int(0.637 * count)
-    torques[spike, 3] = 1.0
-    with recording.Writer(path) as writer:
-        writer.add_topic('/torque', messages.WRENCH)
-        writer.write_columns(EPOCH_NS + np.arange(count) * 1_000_000,
-                             [recording.Column('/torque', '', torques)])
-    return 1e-3 * spike
-
-
 @pytest.mark.parametrize('count', [
     pytest.param(60_000, marks=pytest.mark.slow), pytest.param(3_600_000,
                                                                marks=pytest.mark.nightly)])
 def test_a_spike_of_one_sample_is_visible(chromium, tmp_path, count):
-    seconds = recorded_spike(tmp_path / 'spike.mcap', count)
+    # Torques of 1 mN m at 1 kHz, with one sample of 1 N m.
+    torques, spike = np.full((count, 6), 1e-3), int(0.637 * count)
+    torques[spike, 3], seconds = 1.0, 1e-3 * spike
+    with recording.Writer(tmp_path / 'spike.mcap') as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        writer.write_columns(EPOCH_NS + np.arange(count) * 1_000_000,
+                             [recording.Column('/torque', '', torques)])
     target = reported(tmp_path / 'page.html', tmp_path / 'spike.mcap', *TUMBLER[1:])
     assert target.stat().st_size < 8e6
     with browser.opened(chromium, target) as page:
