@@ -23,7 +23,7 @@ from rigid_body_ros.commands import main
 ACCEPTED, ACCEPTED_1, WHEELS = (f'/node/accepted_{name}' for name in (
     'torque', 'torque_1', 'wheel_torque'))
 COMMITTED = '/node/committed'
-KINDS = {COMMITTED: messages.ODOMETRY}
+KINDS = {COMMITTED: messages.ODOMETRY, '/h': messages.VECTOR3}
 COMMANDS = {
     'replay': [main.attitude_replay, '{log}', '-o', '{out}.mcap'],
     'verify': [main.attitude_replay, '{log}', '--verify', '{log}'],
@@ -78,10 +78,10 @@ def two_epochs(run):
     return [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
 
 
-def save(path, sent, topics=(ACCEPTED,)):
-    """Write the messages of a node, each 1 ms after the previous one; return the path."""
+def save(path, sent, *empty):
+    """Write messages, each 1 ms after the previous one, and empty topics; return the path."""
     with recording.Writer(path) as writer:
-        for topic in (*topics, COMMITTED):
+        for topic in dict.fromkeys([*(topic for topic, _ in sent), *empty, COMMITTED]):
             writer.add_topic(topic, KINDS.get(topic, messages.WRENCH))
         for number, (topic, data) in enumerate(sent):
             writer.write(topic, 1_700_000_000 * SECOND + number * SECOND // 1000, data)

@@ -56,29 +56,77 @@ run, two = run, two  # fixtures, used by their names
 ONE_MOTION = [name for name in COMMANDS if name not in ('replay', 'verify')]
 
 
-@pytest.mark.parametrize(('keep', 'block'), [(False, 2 ** 20), (True, 2 ** 12)])
-def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, monkeypatch, keep, block):
-    monkeypatch.setattr(writer, '_CHUNK', block)  # what is read at a time
-    two = save(tmp_path / 'two.mcap', two_epochs(run))
-    # The start of the scene is not that of either epoch.
-    result = replay(two, run, tmp_path / 'out.mcap', keep=keep)
-    first, = result.earlier
-    written = attitudes(tmp_path / 'out.mcap')
-    motions = [node_logs.motion_of(run, FIRST, TORQUES),
-               node_logs.motion_of(run, SECOND_START, MORE)]
-    np.testing.assert_array_equal(written.stamps_ns, np.hstack([one.times_ns for one in motions]))
-    np.testing.assert_array_equal(written.values, np.vstack([one.attitude for one in motions]))
-    for found, motion in zip((first, result), motions):
+REST, STILL = State(5 * SECOND), {ACCEPTED: rows([6.0, 7.0, 8.0], (0.0, 0.0, 0.0))}
+#: An epoch that begins in a state of the epoch with this start.
+AGAIN = State(7 * SECOND), {ACCEPTED: rows([7.5, 9.0], (0.0, 0.0, 0.1))}
+BEFORE, AFTER = (4 * SECOND, (0.01, 0.0, 0.0)), (6 * SECOND, (0.0, 0.02, 0.0))
+
+
+def moved(begin):
+    """Return an epoch that begins at another time, s."""
+    return replace(SECOND_START, time_ns=begin * SECOND), {
+        ACCEPTED: rows(begin + 0.05 * np.arange(1, 31), (0.0, 0.01, 0.0))}
+
+
+#: The starts and the torques of the epochs in each log.
+LOGS = {
+    'two': [(FIRST, TORQUES), (SECOND_START, MORE)],
+    'no torques': [(FIRST, {ACCEPTED: []}), (SECOND_START, {ACCEPTED: []})],
+    'a torque from before the start': [(FIRST, {ACCEPTED: [BEFORE]})],
+    'torques from before the start on': [(FIRST, {ACCEPTED: [BEFORE, AFTER]})],
+    'epochs that overlap': [(FIRST, TORQUES), moved(7), (FIRST, TORQUES)],
+    'epochs that go back': [(FIRST, TORQUES), moved(3), (FIRST, TORQUES)],
+    'equal starts': [(FIRST, TORQUES), (FIRST, TORQUES)],
+    'a start in a state of the epoch before': [(REST, STILL), AGAIN],
+    'more of them': [(REST, STILL), AGAIN, AGAIN, AGAIN]}
+
+
+@pytest.mark.parametrize(('name', 'options'), [
+    *((name, {}) for name in LOGS), ('no torques', {'interpolation': 'cubic'}),
+    *((name, {'until': 3.0}) for name in LOGS if 'torque' in name)], ids=str)
+def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, name, options):
+    # The start of the scene is not that of any epoch.
+    epochs, until = LOGS[name], options.get('until')
+    log = save(tmp_path / 'log.mcap', [one for each in epochs for one in epoch(run, *each)])
+    result = replay(log, run, tmp_path / 'out.mcap', **options)
+    motions = [node_logs.motion_of(
+        run, start, torques, until and [start.time_ns + round(until * SECOND)])
+        for start, torques in epochs]
+    for found, motion in zip((*result.earlier, result), motions, strict=True):
         np.testing.assert_array_equal(found.last.attitude, motion.attitude[-1])
-        if keep:
+        assert found.last.time_ns == motion.times_ns[-1]
+    written = attitudes(tmp_path / 'out.mcap')
+    logged = recording.read(tmp_path / 'out.mcap', '/attitude', messages.QUATERNION,
+                            time_source='log').stamps_ns
+    assert np.all(np.diff(logged) >= 0)
+    if not until:
+        first, stamps = len(motions[0].times_ns), [one.times_ns for one in motions]
+        np.testing.assert_array_equal(written.stamps_ns, np.hstack(stamps))
+        np.testing.assert_array_equal(written.values, np.vstack([one.attitude for one in motions]))
+        np.testing.assert_array_equal(logged[:first], written.stamps_ns[:first])
+    for motion in (log, tmp_path / 'out.mcap'):
+        compared = verify(log, run, motion, until=until)
+        assert (compared.same.all(), compared.pending) == (True, 0)
+        assert compared.epochs == compared.compared_epochs == len(epochs)
+        assert until or len(compared.same) == len(written)
+
+
+@pytest.mark.parametrize(('keep', 'block'), [(False, 2 ** 20), (True, 2 ** 12)])
+def test_epochs_are_described_and_written_as_text(run, tmp_path, monkeypatch, keep, block):
+    monkeypatch.setattr(writer, '_CHUNK', block)  # what is read at a time
+    log = save(tmp_path / 'two.mcap', two_epochs(run))
+    result = replay(log, run, tmp_path / 'out.csv', keep=keep)
+    first, = result.earlier
+    motions = [node_logs.motion_of(run, *one) for one in LOGS['two']]
+    table = np.loadtxt(tmp_path / 'out.csv', delimiter=',', skiprows=1, usecols=range(1, 5))
+    np.testing.assert_array_equal(table, np.vstack([one.attitude for one in motions]))
+    if keep:
+        for found, motion in zip((first, result), motions):
             np.testing.assert_array_equal(found.trajectory.attitude, motion.attitude)
     assert (first.account.samples, result.account.samples) == (40, 30)
     words = result.text()
     assert 'epochs        2, each from its own start state' in words
     assert f'  epoch 1     from {FIRST.time_ns} ns on, over 3.9 s, to attitude ' in words
-    replay(two, run, tmp_path / 'out.csv', keep=keep)
-    table = np.loadtxt(tmp_path / 'out.csv', delimiter=',', skiprows=1, usecols=range(1, 5))
-    np.testing.assert_array_equal(table, written.values)
 
 
 def test_until_and_rate_are_those_of_each_epoch(run, two, tmp_path):
@@ -119,95 +167,17 @@ def test_a_log_without_its_start_is_refused_by_every_command(run, tmp_path, caps
     assert not [*tmp_path.glob('out*')]
 
 
-def test_a_log_of_another_name_needs_its_start_if_it_has_a_marker(run, tmp_path):
-    sent = [(topic.replace(ACCEPTED, '/torque'), data) for topic, data in
-            without(two_epochs(run), ACCEPTED, 0)]
-    log = save(tmp_path / 'log.mcap', sent, ['/torque'])
-    with pytest.raises(InputError, match='/torque: expected the log of a node to begin .* marker '
-                                         'in message 41: '):
-        replay(log, run)
-
-
 @pytest.mark.parametrize(('name', 'is_log'), [
     ('/accepted_torque', True), ('/a/accepted_torque_12', True), ('accepted_wheel_torque', True),
     ('/accepted_torques', False), ('/not_accepted_torque', False),
     ('/accepted_torque/raw', False)])
 def test_the_log_of_a_node_is_known_by_its_name(run, tmp_path, name, is_log):
-    log = save(tmp_path / 'log.mcap', [(name, messages.wrench(5, '', np.ones(3)))], [name])
+    log = save(tmp_path / 'log.mcap', [(name, messages.wrench(5, '', np.ones(3)))])
     if is_log:
         with pytest.raises(InputError, match=f'{name}: expected the log of a node to begin'):
             replay(log, run, topic=name)
     else:
         assert replay(log, run, topic=name).start.time_ns == 5
-
-
-@pytest.mark.parametrize(('frame_id', 'values', 'message'), [
-    ('/epoch attitude 0 0 0 1', np.zeros(6), 'frame_id: expected the start state of an epoch'),
-    ('/epoch attitude 0 0 0 x rates 0 0 0 rotors 0 0 0', np.zeros(6), 'could not convert'),
-    ('/epoch attitude 0 0 0 1 rates 0 nan 0 rotors 0 0 0', np.zeros(6), 'expected 3 finite numb'),
-    ('/epoch attitude 0 0 0 1 rates 0 0 0 rotors 0 0 0', np.ones(6), 'expected zeros'),
-    ('/epoch ' + 9999 * 'x', np.zeros(6), 'frame_id: expected the start state of an epoch')])
-def test_a_marker_that_is_not_valid_is_named(run, tmp_path, frame_id, values, message):
-    marker = ACCEPTED, messages.WRENCH.encode(5 * SECOND, frame_id, values)
-    log = save(tmp_path / 'log.mcap', [*epoch(run, FIRST, TORQUES), marker])
-    with pytest.raises(InputError, match=f'log.mcap: {ACCEPTED}: message 42: marker of an '
-                                         f'epoch: .*{message}') as error:
-        replay(log, run, tmp_path / 'out.mcap')
-    assert len(str(error.value)) <= LONGEST
-
-
-def test_a_torque_of_a_later_epoch_is_named_by_its_number(run, tmp_path):
-    sent = [*epoch(run, FIRST, TORQUES), (ACCEPTED, messages.epoch_marker(SECOND_START)),
-            (ACCEPTED, messages.wrench(21 * SECOND, 'map', np.ones(3)))]
-    with pytest.raises(InputError, match="message 43: frame_id: expected .* found 'map'"):
-        replay(save(tmp_path / 'log.mcap', sent), run)
-
-
-@pytest.mark.parametrize('options', [{'interpolation': 'cubic'}, {'until': 2.5}], ids=str)
-def test_an_epoch_may_have_no_torques(run, tmp_path, options):
-    log = save(tmp_path / 'log.mcap', [*epoch(run, FIRST, {ACCEPTED: []}),
-                                       *epoch(run, SECOND_START, {ACCEPTED: []})])
-    result = replay(log, run, tmp_path / 'out.mcap', **options)
-    seconds = options.get('until', 0.0)
-    for found, start in zip((*result.earlier, result), (FIRST, SECOND_START)):
-        motion = node_logs.motion_of(run, start, {}, [start.time_ns + round(seconds * SECOND)])
-        np.testing.assert_array_equal(found.last.attitude, motion.attitude[0])
-        assert found.last.time_ns == motion.times_ns[0]
-    assert 'torques       0 on /node/accepted_torque, over 0 s\n' in result.text()
-    assert verify(log, run, log, until=options.get('until')).same.tolist() == [True, True]
-    assert verify(log, run, tmp_path / 'out.mcap').same.all()
-
-
-@pytest.mark.parametrize('later', [[], [(6 * SECOND, (0.0, 0.02, 0.0))]])
-def test_a_torque_from_before_the_start_acts_from_there_on(run, tmp_path, later):
-    torques = {ACCEPTED: [(4 * SECOND, (0.01, 0.0, 0.0)), *later]}
-    log = save(tmp_path / 'log.mcap', epoch(run, FIRST, torques))
-    for output in (tmp_path / 'out.mcap', None):
-        result = replay(log, run, output, until=3.0)
-        motion = node_logs.motion_of(run, FIRST, torques, [8 * SECOND])
-        np.testing.assert_array_equal(result.last.attitude, motion.attitude[0])
-    assert replay(log, run).last.time_ns == (later[0][0] if later else FIRST.time_ns)
-    assert verify(log, run, log).same.all()
-
-
-@pytest.mark.parametrize('begin', [7, 3])
-def test_epochs_that_overlap_keep_their_stamps_and_log_times_ascend(run, tmp_path, begin):
-    start = replace(SECOND_START, time_ns=begin * SECOND)
-    more = {ACCEPTED: rows(begin + 0.05 * np.arange(1, 31), (0.0, 0.01, 0.0))}
-    log = save(tmp_path / 'log.mcap', [*epoch(run, FIRST, TORQUES), *epoch(run, start, more),
-                                       *epoch(run, FIRST, TORQUES)])
-    output = tmp_path / 'out.mcap'
-    replay(log, run, output)
-    written = attitudes(output)
-    assert written.stamps_ns.tolist() == [
-        stamp for one in ((FIRST, TORQUES), (start, more), (FIRST, TORQUES))
-        for stamp in node_logs.motion_of(run, *one).times_ns]
-    logged = recording.read(output, '/attitude', messages.QUATERNION, time_source='log').stamps_ns
-    assert np.diff(logged).min() >= 0
-    np.testing.assert_array_equal(logged[:40], written.stamps_ns[:40])
-    for motion in (log, output):
-        result = verify(log, run, motion)
-        assert (len(result.same), result.same.all(), result.epochs) == (111, True, 3)
 
 
 @pytest.mark.parametrize('count', [1000, *at_night(20_000)])
@@ -313,7 +283,7 @@ def test_several_topics_have_the_same_epochs(wheeled, tmp_path, monkeypatch):
     starts = with_rotors(FIRST), SECOND_START
     given = [sources(wheeled, start, 20 + k) for k, start in enumerate(starts)]
     log = save(tmp_path / 'log.mcap', [one for each in zip(starts, given)
-                                       for one in epoch(wheeled, *each)], given[0])
+                                       for one in epoch(wheeled, *each)])
     result = replay(log, wheeled, tmp_path / 'out.mcap', **TOPICS)
     for found, start, one in zip((*result.earlier, result), starts, given):
         motion = node_logs.motion_of(wheeled, start, one)
@@ -328,7 +298,7 @@ def test_a_process_may_be_killed_between_the_markers_of_two_topics(wheeled, tmp_
     given = sources(wheeled, FIRST, 20)
     log = save(tmp_path / 'log.mcap', [
         *epoch(wheeled, FIRST, given), (ACCEPTED, messages.epoch_marker(SECOND_START)),
-        (ACCEPTED, messages.wrench(21 * SECOND, '', (0.01, 0.0, 0.0)))], given)
+        (ACCEPTED, messages.wrench(21 * SECOND, '', (0.01, 0.0, 0.0)))])
     result = replay(log, wheeled, **TOPICS)
     motion = node_logs.motion_of(wheeled, SECOND_START, {ACCEPTED: rows([21.0], (0.01, 0, 0))})
     np.testing.assert_array_equal(result.last.attitude, motion.attitude[-1])
@@ -336,48 +306,63 @@ def test_a_process_may_be_killed_between_the_markers_of_two_topics(wheeled, tmp_
     assert (compared.same.all(), compared.compared_epochs, compared.pending) == (True, 1, 1)
 
 
-@pytest.mark.parametrize(('topic', 'marked', 'found'), [
-    (ACCEPTED_1, FIRST, replace(FIRST, angular_velocity=(1.0, 0.0, 0.0))),
-    (WHEELS, SECOND_START, replace(SECOND_START, time_ns=SECOND)),
-    (ACCEPTED, FIRST, with_rotors(FIRST))], ids=['rates', 'stamp', 'rotors'])
-def test_topics_with_other_epochs_are_refused(wheeled, tmp_path, topic, marked, found):
-    given = [sources(wheeled, FIRST, 20), sources(wheeled, SECOND_START, 10)]
-    sent = [*epoch(wheeled, FIRST, given[0]), *epoch(wheeled, SECOND_START, given[1])]
-    sent[sent.index((topic, messages.epoch_marker(marked)))] = topic, messages.epoch_marker(found)
-    log = save(tmp_path / 'log.mcap', sent, given[0])
-    other = ACCEPTED_1 if topic == ACCEPTED else topic
-    with pytest.raises(InputError, match=f'log.mcap: {other}: expected the epoch that begins at '
-                                         f'.* ns, with the same start state as on {ACCEPTED}, '):
-        replay(log, wheeled, **TOPICS)
+def marked(frame_id, values=(0.0,) * 6):
+    """Return messages whose last is to be the marker of an epoch."""
+    return lambda run: [*epoch(run, FIRST, TORQUES), (
+        ACCEPTED, messages.WRENCH.encode(5 * SECOND, frame_id, values))]
 
 
-def test_ordinary_torques_have_no_epochs_next_to_a_log(run, tmp_path):
-    sent = [*epoch(run, FIRST, TORQUES), ('/torque', messages.wrench(6 * SECOND, '', np.ones(3)))]
-    log = save(tmp_path / 'log.mcap', sent, [ACCEPTED, '/torque'])
-    with pytest.raises(InputError, match=f'/torque: expected the epoch that begins at '
-                                         f'{FIRST.time_ns} ns, .* found torques without epochs'):
-        replay(log, run, topic=[ACCEPTED, '/torque'])
+def started(topic, start, found):
+    """Return messages on several topics, of which one has another start of an epoch."""
+    def sent(run):
+        both = [one for begin, count in ((FIRST, 20), (SECOND_START, 10))
+                for one in epoch(run, begin, sources(run, begin, count))]
+        place = both.index((topic, messages.epoch_marker(start)))
+        return [*both[:place], (topic, messages.epoch_marker(found)), *both[place + 1:]]
+    return sent
+
+
+ZEROS = 'attitude 0 0 0 1 rates 0 0 0 rotors 0 0 0'
+INVALID = f'log.mcap: {ACCEPTED}: message 42: marker of an epoch: .*'
+OTHER = f'expected the epoch that begins at .* ns, with the same start state as on {ACCEPTED}, '
+
+
+@pytest.mark.parametrize(('sent', 'options', 'message'), [
+    (lambda run: [(topic.replace(ACCEPTED, '/torque'), data)
+                  for topic, data in without(two_epochs(run), ACCEPTED, 0)], {},
+     '/torque: expected the log of a node to begin .* marker in message 41: '),
+    (marked('/epoch attitude 0 0 0 1'), {}, INVALID + 'frame_id: expected the start state of an'),
+    (marked('/epoch ' + ZEROS.replace('1', 'x')), {}, INVALID + 'could not convert'),
+    (marked('/epoch ' + ZEROS.replace('rates 0', 'rates nan')), {}, INVALID + 'expected 3 finite'),
+    (marked('/epoch ' + ZEROS, (1.0,) * 6), {}, INVALID + 'expected zeros'),
+    (marked('/epoch ' + 9999 * 'x'), {}, INVALID + 'frame_id: expected the start state of an'),
+    (lambda run: [*marked('/epoch ' + ZEROS)(run), (
+        ACCEPTED, messages.wrench(21 * SECOND, 'map', np.ones(3)))], {},
+     "message 43: frame_id: expected .* found 'map'"),
+    (lambda run: [*epoch(run, FIRST, TORQUES), (
+        '/torque', messages.wrench(6 * SECOND, '', np.ones(3)))], {'topic': [ACCEPTED, '/torque']},
+     f'/torque: expected the epoch that begins at {FIRST.time_ns} ns, .* found torques without'),
+    (lambda run: [*two_epochs(run), ('/h', messages.VECTOR3.encode(SECOND, '', (0.0, 0.0, 0.1)))],
+     {'topic': ACCEPTED, 'wheel_momentum': '/h'}, '--wheel-momentum: expected one epoch, found 2'),
+    (started(ACCEPTED_1, FIRST, replace(FIRST, angular_velocity=(1.0, 0.0, 0.0))), TOPICS,
+     f'log.mcap: {ACCEPTED_1}: {OTHER}'),
+    (started(WHEELS, SECOND_START, replace(SECOND_START, time_ns=SECOND)), TOPICS,
+     f'log.mcap: {WHEELS}: {OTHER}'),
+    (started(ACCEPTED, FIRST, with_rotors(FIRST)), TOPICS, f'log.mcap: {ACCEPTED_1}: {OTHER}')],
+    ids=range(12))
+def test_what_is_no_log_of_epochs_is_refused(run, wheeled, tmp_path, sent, options, message):
+    run = wheeled if options else run
+    log = save(tmp_path / 'log.mcap', sent(run))
+    with pytest.raises(InputError, match=message) as error:
+        replay(log, run, tmp_path / 'out.mcap', **options)
+    assert len(str(error.value)) <= LONGEST
 
 
 def test_a_topic_without_messages_has_no_torques_in_any_epoch(run, tmp_path):
-    sent = two_epochs(run)
-    log = save(tmp_path / 'log.mcap', sent, [ACCEPTED, ACCEPTED_1])
+    log = save(tmp_path / 'log.mcap', two_epochs(run), ACCEPTED_1)
     result = replay(log, run, topic=[ACCEPTED, ACCEPTED_1])
     motion = node_logs.motion_of(run, SECOND_START, MORE)
     np.testing.assert_array_equal(result.last.attitude, motion.attitude[-1])
-
-
-def test_a_measured_momentum_of_the_rotors_needs_one_epoch(wheeled, tmp_path):
-    sent = [*epoch(wheeled, FIRST, TORQUES), *epoch(wheeled, SECOND_START, MORE)]
-    with recording.Writer(tmp_path / 'both.mcap') as both:
-        both.add_topic('/h', messages.VECTOR3)
-        both.write('/h', SECOND, messages.VECTOR3.encode(SECOND, '', (0.0, 0.0, 0.1)))
-        both.add_topic(ACCEPTED, messages.WRENCH)
-        for topic, data in sent:
-            if topic == ACCEPTED:
-                both.write(topic, SECOND, data)
-    with pytest.raises(InputError, match='--wheel-momentum: expected one epoch, found 2'):
-        replay(tmp_path / 'both.mcap', wheeled, topic=ACCEPTED, wheel_momentum='/h')
 
 
 def test_of_equal_starts_the_last_epoch_is_meant():
@@ -496,32 +481,12 @@ def test_torques_without_a_committed_state_are_counted(run, tmp_path, capsys):
     # The start of the second epoch is missing.
     (lambda sent: without(sent, COMMITTED, 40), 'found none for 30 of 70 states'),
     (lambda sent: committed(sent, 40, nudged), 'found none for 31 of 71 states'),
-    (lambda sent: without(sent, COMMITTED, *range(71)), 'expected states, found no messages')],
-    ids=range(6))
+    (lambda sent: without(sent, COMMITTED, *range(71)), 'expected states, found no messages'),
+    # The first epoch twice.
+    (lambda sent: without(2 * sent[:81], COMMITTED, 40), 'in message 41, because its stamp, '
+     '5100000000 ns, is not later than the one before, 8900000000 ns')], ids=range(7))
 def test_states_without_a_counterpart_are_refused(run, tmp_path, capsys, change, message):
     log = save(tmp_path / 'log.mcap', change(two_epochs(run)))
     line = refused(tmp_path, capsys, 'verify', log)
     assert f'log.mcap: {COMMITTED}: ' in line
     assert message in line
-
-
-def test_states_whose_stamps_go_back_need_a_start(run, tmp_path):
-    sent = [*epoch(run, FIRST, TORQUES), *epoch(run, FIRST, TORQUES)]
-    log = save(tmp_path / 'log.mcap', sent)
-    assert verify(log, run, log).epochs == 2
-    log = save(tmp_path / 'log.mcap', without(sent, COMMITTED, 40))
-    with pytest.raises(InputError, match='in message 41, because its stamp, 5100000000 ns, is not '
-                                         'later than the one before, 8900000000 ns'):
-        verify(log, run, log)
-
-
-@pytest.mark.parametrize('count', [1, 3])
-def test_a_state_may_be_the_start_of_the_next_epoch(run, tmp_path, count):
-    rest = State(5 * SECOND)
-    still = {ACCEPTED: rows([6.0, 7.0, 8.0], (0.0, 0.0, 0.0))}
-    again = State(7 * SECOND)  # as the state of the first epoch at this time
-    later = epoch(run, again, {ACCEPTED: rows([7.5, 9.0], (0.0, 0.0, 0.1))})
-    log = save(tmp_path / 'log.mcap', epoch(run, rest, still) + count * later)
-    result = verify(log, run, log)
-    assert (len(result.same), result.same.all(), result.pending) == (4 + 3 * count, True, 0)
-    assert f'states of /node/committed in {count + 1} epochs\n' in result.text()

@@ -131,7 +131,7 @@ def node_log(folder, lost=(), unseen=(), start_time=START_NS):
     torques = rows(STAMPS / SECOND, 0.01 * np.random.default_rng(3).normal(size=(50, 3)))
     _, *sent = epoch(RUN, replace(RUN.start, time_ns=START_NS), {'/torque': torques})
     sent = without(without(sent, '/torque', *lost), COMMITTED, *unseen)
-    return save(folder / 'run.mcap', sent, ['/torque']), str(config)
+    return save(folder / 'run.mcap', sent, '/torque'), str(config)
 
 
 def test_the_torques_that_a_node_received_give_its_states_again(tmp_path, capsys):
