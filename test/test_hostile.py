@@ -73,32 +73,33 @@ def test_values_of_no_meaning_may_be_anything(tmp_path, text):
     assert outcome(path) == ''
 
 
-def test_a_description_that_python_wrote_with_aliases_is_read(tmp_path):
-    span = {'nanoseconds': 3}
-    path = described(tmp_path, {'duration': span, 'other': [span] * 99})
-    assert '*id001' in (path / 'metadata.yaml').read_text()
-    assert outcome(path) == ''
+SPAN = {'nanoseconds': 3}
+REFUSED = 'metadata.yaml: expected '
+OUTSIDE = 'metadata.yaml: relative_file_paths: expected '
 
 
-@pytest.mark.parametrize('before', ['relative_file_paths: *i', 'compression_mode: *i',
-                                    'relative_file_paths: [*a, *a]'])
-def test_aliases_do_not_multiply(tmp_path, before):
-    path = described(tmp_path, f'{LAUGHS}rosbag2_bagfile_information: {{{before}}}')
-    assert 'metadata.yaml: expected ' in outcome(path)
-    many = 'a: &a [' + 'x,' * 1000 + ']\nb: [' + '*a,' * 1000 + ']'
-    assert 'at most 100000 values' in outcome(described(tmp_path / 'many', many))
+@pytest.mark.parametrize(('about', 'expected'), [
+    ({'duration': SPAN, 'other': [SPAN] * 99}, ''),  # Python writes aliases
+    *((f'{LAUGHS}rosbag2_bagfile_information: {{{before}}}', REFUSED) for before in (
+        'relative_file_paths: *i', 'compression_mode: *i', 'relative_file_paths: [*a, *a]')),
+    ('a: &a [' + 'x,' * 1000 + ']\nb: [' + '*a,' * 1000 + ']', 'at most 100000 values'),
+    *(({'relative_file_paths': [name]}, OUTSIDE) for name in (
+        '../bag/bag.mcap', '/etc/passwd', 'a/../../bag.mcap', '..', 'bag\0.mcap', '', '.',
+        ['bag.mcap'])),
+    ({'relative_file_paths': ['old_name/bag.mcap']}, ''),  # the folder was renamed
+    ({'relative_file_paths': ['bag.mcap'] * 1000}, 'expected each file once')],
+    ids=itertools.count())
+def test_a_description_is_read_within_bounds(tmp_path, about, expected):
+    path = described(tmp_path, about)
+    found = outcome(path)
+    assert expected in found
+    assert expected or not found
 
 
-@pytest.mark.parametrize('name', ['../bag/bag.mcap', '/etc/passwd', 'a/../../bag.mcap', '..',
-                                  'bag\0.mcap', '', '.', ['bag.mcap'], '{bag}/bag.mcap'])
-def test_a_file_outside_of_the_bag_is_refused(tmp_path, name):
-    if isinstance(name, str):
-        name = name.format(bag=tmp_path / 'bag')
-    path = described(tmp_path, {'relative_file_paths': [name]})
-    assert 'metadata.yaml: relative_file_paths: expected ' in outcome(path)
-
-
-def test_a_link_out_of_the_bag_is_refused_and_one_within_it_is_followed(tmp_path):
+def test_a_path_out_of_the_bag_is_refused_and_a_link_within_it_is_followed(tmp_path):
+    absolute = tmp_path / 'absolute'
+    assert OUTSIDE in outcome(described(absolute, {
+        'relative_file_paths': [str(absolute / 'bag' / 'bag.mcap')]}))
     path = described(tmp_path, {'relative_file_paths': ['link.mcap']})
     (path / 'link.mcap').symlink_to('bag.mcap')
     assert outcome(path) == ''
@@ -110,12 +111,6 @@ def test_a_link_out_of_the_bag_is_refused_and_one_within_it_is_followed(tmp_path
     (path / 'link.mcap').unlink()
     (tmp_path / 'elsewhere.mcap').rename(path / 'link.mcap')
     assert outcome(tmp_path / 'alias') == ''
-
-
-def test_a_file_is_named_once_perhaps_with_the_old_name_of_the_folder(tmp_path):
-    assert outcome(described(tmp_path, {'relative_file_paths': ['old_name/bag.mcap']})) == ''
-    path = described(tmp_path / 'again', {'relative_file_paths': ['bag.mcap'] * 1000})
-    assert 'expected each file once' in outcome(path)
 
 
 @pytest.mark.parametrize('text', ['x' * 2 ** 23, '[a,' * 2 ** 17, '{a: ' * 9999,

@@ -25,7 +25,7 @@ import subprocess
 import sys
 import time
 
-from conftest import at_night, program, ROOT, running, SECOND
+from conftest import at_night, program, RECORDINGS, ROOT, running, SECOND
 import detumble
 import numpy as np
 import pytest
@@ -308,21 +308,6 @@ def test_rods_take_the_momentum_of_the_wheels():
     assert 2.0 * np.linalg.norm(state.attitude[:3]) < 5e-3
 
 
-@pytest.mark.nightly
-def test_ten_runs_side_by_side_do_not_disturb_each_other(folder, tmp_path):
-    changed = with_gains(proportional_gain=math.nextafter(0.05, 1.0))
-    processes = []
-    for number in range(10):
-        given = arguments(folder, '--json', tmp_path / f'{number}.json', '--timeout', '300',
-                          command=changed if number % 2 else CONTROLLER)
-        processes.append(subprocess.Popen([*program('attitude_regress'), *given],
-                                          stdout=subprocess.DEVNULL))
-    assert [process.wait() for process in processes] == [0, 1] * 5
-    same, other = ({(tmp_path / f'{number}.json').read_text() for number in range(first, 10, 2)}
-                   for first in (0, 1))
-    assert len(same) == len(other) == 1
-
-
 def test_domains_are_apart_and_the_environment_is_left_alone(monkeypatch):
     monkeypatch.setenv('ROS_STATIC_PEERS', '192.0.2.1')
     before = dict(os.environ)
@@ -353,9 +338,8 @@ def test_a_loop_that_lacks_a_torque_differs_at_its_stamp(folder):
     reference = read(folder / 'reference.mcap')
     samples = reference.torques['accepted_torque']
     rows = np.arange(len(samples)) != 7
-    other = type(reference)(reference.start, {'accepted_torque': type(samples)(
-        samples.times_ns[rows], samples.values[rows], samples.frames[rows])}, reference.states,
-        reference.made_by, reference.node)
+    other = replace(reference, torques={'accepted_torque': Signal(
+        samples.times_ns[rows], samples.values[rows], samples.frames[rows])})
     found = differences(reference, other)
     assert (found.first_ns, found.first, found.missing) == (7 * STEP_NS, 'stamp', 1)
     assert not found.within(1.0)
@@ -404,16 +388,14 @@ def test_mistakes(tmp_path, monkeypatch, capsys, options, line):
     assert not [*tmp_path.iterdir()]
 
 
-def test_what_is_no_reference(folder, tmp_path, capsys):
-    path = tmp_path / 'reference.mcap'
+def test_what_is_no_reference(folder, tmp_path, refusal):
+    path, other = tmp_path / 'reference.mcap', RECORDINGS / 'tumbler.mcap'
     shutil.copy(folder / 'scene.yaml', tmp_path)
-    shutil.copy(ROOT / 'test' / 'recordings' / 'tumbler.mcap', path)
-    assert run(tmp_path) == 2
-    assert 'expected the log of one node, with its topics accepted_torque and committed' \
-        in capsys.readouterr().err
-    assert run(tmp_path, '--update', '--duration', '1') == 2
-    assert 'expected the log of one node' in capsys.readouterr().err
-    assert path.read_bytes() == (ROOT / 'test' / 'recordings' / 'tumbler.mcap').read_bytes()
+    shutil.copy(other, path)
+    for options in ((), ('--update', '--duration', '1')):
+        assert 'expected the log of one node, with its topics accepted_torque and committed' \
+            in refusal('attitude_regress', *arguments(tmp_path, *options, command=CONTROLLER))
+    assert path.read_bytes() == other.read_bytes()
     path.unlink()
-    assert run(tmp_path, '--update') == 2
-    assert '--duration, found neither' in capsys.readouterr().err
+    assert '--duration, found neither' in refusal(
+        'attitude_regress', *arguments(tmp_path, '--update', command=CONTROLLER))
