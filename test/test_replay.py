@@ -53,7 +53,6 @@ def attitudes(path):
     ((), np.arange(0, 28801, 20)),
     (('--rate', '0.01'), np.arange(0, 28801, 100)),
     (('--rate', '3', '--until', '1'), [0, 1 / 3, 2 / 3, 1]),
-    (('--until', '50'), [0, 20, 40, 50]),
     (('--until', '28830.5'), [*range(0, 28801, 20), 28830.5]),
     (('--from', '40'), [*range(40, 28801, 20)]),
     (('--start', '35', '--until', '85'), [40, 60, 80, 85]),
@@ -220,9 +219,7 @@ def test_a_mistake_is_answered_by_one_line(rows, more, message, tmp_path, output
     (('-o', 'motion.json'), 'motion.json: expected a name ending in .mcap, or a folder name'),
     (('-o', 'motion.csv', '--also', 'tf'), '--also: expected an MCAP file or a rosbag2 folder as '
      'output, because a CSV file has no topics, found motion.csv'),
-    (('-o', 'pipe.mcap'), 'pipe.mcap: expected a regular file, found a device, pipe or socket'),
     (('-o', 'motion.mcap', '--plot', 'p.pdf'), 'p.pdf: expected a name ending in .png, found'),
-    (('-o', 'x' * 300), 'cannot write: File name too long'),
     (('--also', 'imu'), '--also: expected an output file or folder (-o), found none'),
     (('--until', '1e9'), '--until: expected an end at or before the latest'),
     (('--rate', '1e9', '-o', 'motion.mcap'), '--rate: expected at most 100000000 outputs'),
@@ -235,11 +232,8 @@ def test_a_mistake_is_answered_by_one_line(rows, more, message, tmp_path, output
     ((f'--scene={ISS[2]}',), '--scene: expected the option at most once, found ')])
 def test_a_mistake_in_the_options_is_one_line(arguments, message, tmp_path, monkeypatch, refusal):
     monkeypatch.chdir(tmp_path)
-    pipe = tmp_path / 'pipe.mcap'  # not a device, which broken code would replace as root
-    os.mkfifo(pipe)
     assert message in refusal('attitude_replay', *ISS, *arguments)
-    assert [*tmp_path.iterdir()] == [pipe]
-    assert pipe.is_fifo()
+    assert not [*tmp_path.iterdir()]
 
 
 def test_torques_logged_after_the_latest_stamp_are_rejected(tmp_path, output):
