@@ -13,25 +13,18 @@
 # limitations under the License.
 
 """
-Write the recordings of this folder.
+Write the recordings of this folder whose scenes are in config/: iss, tumbler and flight.
 
-    python make.py TRUTH
-
-TRUTH is a folder with reference motions, in JSON files that were computed with 50 digits. For each
-file NAME.json, the script writes the scene file NAME.yaml and the recording NAME.mcap. The
-recording has the torques on /torque, and the reference motion on /truth/attitude and
-/truth/angular_velocity.
-
-The script also writes iss.mcap and tumbler.mcap, whose scenes are in config/, and flight.mcap. The
-latter contains measurements of noisy sensors on the body of tumbler.yaml, which moves under the
+The last contains measurements of noisy sensors on the body of tumbler.yaml, which moves under the
 first 20 s of tumbler.mcap.
+
+Each of the other recordings has a scene file of its own, torques on /torque, and a motion that was
+computed with 50 digits on /truth/attitude and /truth/angular_velocity.
 """
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-import sys
 
 import numpy as np
 from rigid_body_ros import messages, read
@@ -78,32 +71,6 @@ def write(path, frames, torques, truth):
             writer.add_topic('/truth/angular_velocity', messages.VECTOR3)
         for time_ns, topic, data in sorted(rows, key=lambda row: row[0]):
             writer.write(topic, time_ns, data)
-
-
-def write_scene(path, note, inertia, attitude, rates):
-    """Write a scene file; repr keeps every bit of a double."""
-    lines = [f'# {note}', '/**:', '  ros__parameters:', f'    start_time: {EPOCH_NS}']
-    for group, names, values in (
-            ('inertia', ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz'), inertia),
-            ('initial_attitude', 'xyzw', attitude), ('initial_angular_velocity', 'xyz', rates)):
-        lines += [f'    {group}:',
-                  *(f'      {name}: {float(value)!r}' for name, value in zip(names, values))]
-    path.write_text('\n'.join(lines) + '\n')
-
-
-def make_reference(source):
-    """Turn one reference motion into a recording and a scene file."""
-    scene = json.loads(source.read_text())
-    truth = [(EPOCH_NS + row['t_ns'], [float(x) for x in row['q']], [float(x) for x in row['w']])
-             for row in scene['truth']]
-    frame = {'body': 'base_link', 'space': 'world'}[scene['torque_frame']]
-    torques = [(EPOCH_NS + row[0], frame, row[1:]) for row in scene['torque_t_ns_x_y_z']]
-    # Without torque, write a zero torque at each stamp, so that the recording is not empty.
-    torques = torques or [(row[0], frame, (0.0, 0.0, 0.0)) for row in truth]
-    write(HERE / f'{source.stem}.mcap', ('world', 'base_link'), torques, truth)
-    write_scene(HERE / f'{source.stem}.yaml', scene['note'] or source.stem.replace('_', ' '),
-                scene['inertia_ixx_iyy_izz_ixy_ixz_iyz'], scene['initial_attitude_xyzw'],
-                scene['initial_angular_velocity'])
 
 
 def make_iss():
@@ -154,5 +121,3 @@ if __name__ == '__main__':
     make_iss()
     make_tumbler()
     make_flight()
-    for path in sorted(Path(sys.argv[1]).glob('*.json')):
-        make_reference(path)
