@@ -21,23 +21,14 @@ from conftest import memory_limit
 from measurements import free, INERTIA, truth
 import numpy as np
 import pytest
-from rigid_body_ros import (
-    BodyLog,
-    compare,
-    EffortLog,
-    GravityGradient,
-    Measured,
-    propagate,
-    RigidBody,
-    State,
-    TorqueLog,
-    UniformField,
-    Wheel,
-)
+from rigid_body_ros import BodyLog, compare, Measured, propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.common.arrays import entries
 from rigid_body_ros.inference.horizons import horizon
 from rigid_body_ros.inference.motion import Recorded
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.efforts import EffortLog
+from rigid_body_ros.mechanics.fields import GravityGradient, UniformField
+from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation import Problem
 from scipy.spatial.transform import Rotation
 

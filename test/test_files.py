@@ -571,10 +571,14 @@ def test_a_closed_standard_error_changes_nothing(place):
 
 
 @pytest.mark.slow
-def test_a_name_that_is_no_text_is_printed(place):
-    output = os.fsencode('out/motion') + b'\xff.mcap'
-    result = subprocess.run([*REPLAY[:-1], output], check=False, capture_output=True,
-                            env={**os.environ, 'PYTHONIOENCODING': 'utf-8:strict'})
+def test_names_that_are_no_text_are_printed_and_drawn(place):
+    recorded, *outputs = b'in/log\xff.mcap', b'out/motion\xff.mcap', b'out/picture\xff.png'
+    os.link('in/log.mcap', recorded)
+    result = subprocess.run(
+        [*program('attitude_replay'), recorded, '--scene', 'in/scene.yaml', '-o', outputs[0],
+         '--plot', outputs[1]], check=False, capture_output=True,
+        env={**os.environ, 'PYTHONIOENCODING': 'utf-8:strict'})
     assert (result.returncode, result.stderr) == (0, b'')  # also without a progress bar
-    assert result.stdout.splitlines()[-1] == rb'wrote         out/motion\udcff.mcap'
-    assert os.path.isfile(output)
+    *_, wrote = result.stdout.splitlines()
+    assert wrote == b'wrote         ' + b', '.join(outputs).replace(b'\xff', rb'\udcff')
+    assert all(map(os.path.isfile, outputs))

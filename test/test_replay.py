@@ -21,7 +21,6 @@ import sys
 
 import bags
 from conftest import at_night, CONFIG, EPOCH_NS, program, RECORDINGS, SECOND, write_torques
-import matplotlib.image
 import numpy as np
 import pytest
 from rigid_body_ros import messages, propagate, recording, scene
@@ -181,16 +180,6 @@ def test_work_and_energy_are_compared_over_what_memory_allows(monkeypatch):
     part, first = energy_balance(*motion)
     assert (seconds, 0.0 < first < 0.02) == (1.0, True)
     assert max(whole, part) < 1e-14
-
-
-@pytest.mark.slow
-def test_any_file_name_makes_a_title_of_a_picture(tmp_path):
-    recorded, picture = tmp_path / os.fsdecode(b'$\\frac$ _{{ \xff.mcap'), tmp_path / 'p.png'
-    recorded.write_bytes((RECORDINGS / 'iss.mcap').read_bytes())
-    assert main.attitude_replay([str(recorded), *ISS[1:], '--plot', str(picture)]) == 0
-    pixels = matplotlib.image.imread(picture)
-    assert pixels.shape[:2] == (1272, 1080)
-    assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 100
 
 
 @pytest.mark.parametrize(('rows', 'more', 'message'), [
