@@ -15,7 +15,7 @@
 """Write the same torques in every recording format in use."""
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 import shutil
@@ -27,7 +27,6 @@ from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
-from mcap_ros2.writer import Writer as Ros2Writer
 import numpy as np
 from rigid_body_ros import messages, recording
 from rosbags.highlevel import AnyReader
@@ -160,19 +159,6 @@ def mcap(folder, sent, cdr=Sent.cdr, encoding='ros2msg', profile='ros2', channel
     return path
 
 
-def ros2_support(folder, sent, **options):
-    """Write with mcap-ros2-support."""
-    path = folder / 'recording.mcap'
-    with open(path, 'wb') as stream, Ros2Writer(stream, 4096, **options) as writer:
-        kinds = {one.kind for one in sent}
-        schemas = {kind: writer.register_msgdef(kind, _schema(kind)[1].decode()) for kind in kinds}
-        for one in sent:
-            fields = asdict(one.message, dict_factory=_listed)
-            writer.write_message(one.topic, schemas[one.kind], fields, one.stamp_ns + LOGGED,
-                                 one.stamp_ns + PUBLISHED)
-    return path
-
-
 def ours(folder, sent):
     """Write with this package, which omits strings and writes one time for each message."""
     path, added = folder / 'recording.mcap', set()
@@ -297,8 +283,6 @@ FORMS = {
     'mcap-two-channels-unindexed': partial(mcap, channels=2, **UNINDEXED),
     'mcap-chunk-index-only': partial(mcap, index_types=IndexType.CHUNK),
     'mcap-summary-without-index': partial(mcap, index_types=IndexType.NONE),
-    'ros2-support': ros2_support,
-    'ros2-support-lz4': partial(ros2_support, compression=_LZ4),
     'ours': ours,
     **{f'rosbag2-{storage.lower()}-{compression.lower()}': partial(
         rosbag2, storage=storage, compression=compression)
@@ -375,11 +359,6 @@ def idl(kind):
     package, _, name = kind.split('/')
     return (f'{"=" * 80}\nIDL: {kind}\n// generated from rosidl_adapter/resource/msg.idl.em\n'
             f'module {package} {{ module msg {{\n  struct {name} {{ {IDL[kind]} }};\n}}; }};\n')
-
-
-def _listed(fields):
-    return {name: value.tolist() if isinstance(value, np.ndarray) else value
-            for name, value in fields}
 
 
 def _made(kind, **fields):

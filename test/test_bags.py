@@ -43,7 +43,7 @@ EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '160'))
 WITH_MESSAGES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
 
 #: Forms in which each message has two times.
-MCAP = [form for form in FORMS if form.startswith(('mcap', 'ros2-'))]
+MCAP = [form for form in FORMS if form.startswith('mcap')]
 
 
 def read(path, **options):

@@ -495,8 +495,6 @@ DEFINITION = 'UPDATE message_definitions SET encoded_message_definition = '
 @pytest.mark.parametrize(('statements', 'told'), [
     (f"{DEFINITION} replace(encoded_message_definition, 'Vector3 force', 'Vector3 push')",
      "/torque: expected float64 wrench.force.x in .*, found 'float64 wrench.push.x'"),
-    ("UPDATE message_definitions SET encoding = 'tape'",
-     "/torque: expected a definition in ros2msg or ros2idl, found 'tape'"),
     (f'{DEFINITION} zeroblob(100000)', '/torque: expected a definition of at most'),
     ('ALTER TABLE message_definitions RENAME TO x; CREATE VIEW message_definitions AS SELECT * '
      'FROM x', '.*message_definitions to be an ordinary table'),
