@@ -182,6 +182,8 @@ def test_a_signal_during_the_imports_ends_a_command_in_one_line(command, number,
 @pytest.mark.slow
 @pytest.mark.parametrize(('imported', 'unused'), [
     ('commands.main', ['numpy']),
+    ('replay.single, rigid_body_ros.commands.replay', [f'rigid_body_ros.{name}' for name in (
+        'report.charts', 'report.moving_body', 'report.page', 'report.thinning', 'ensemble')]),
     ('recording, rigid_body_ros.replay', ['rclpy', 'geometry_msgs', 'nav_msgs', 'rcl_interfaces']),
     pytest.param('commands.replay, rigid_body_ros.node.attitude_node', [
         'matplotlib', 'tqdm', 'mcap', 'zstandard', 'scipy.spatial', 'scipy.linalg',

@@ -16,8 +16,6 @@
 
 import re
 import shlex
-import subprocess
-import sys
 
 import browser
 from conftest import CONFIG, EPOCH_NS, limit_trades, RECORDINGS, SECOND, write_torques
@@ -119,21 +117,6 @@ def test_the_first_line_says_what_happened_and_numbers_are_rounded(tmp_path, nam
     assert max(map(len, digits)) <= 4, story
     assert 'kg m²' in story
     assert 'm^2' not in visible
-
-
-@pytest.mark.slow
-def test_without_a_page_and_a_band_nothing_of_them_is_imported():
-    script = f"""
-import sys
-from rigid_body_ros.commands import main
-assert main.attitude_replay({[*TUMBLER, '--until', '1']}) == 0
-assert 'rigid_body_ros.replay.single' in sys.modules
-for name in 'report.charts', 'report.moving_body', 'report.page', 'report.thinning', 'ensemble':
-    assert f'rigid_body_ros.{{name}}' not in sys.modules
-"""
-    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
-                            check=False)
-    assert result.stderr == ''
 
 
 @pytest.mark.slow
