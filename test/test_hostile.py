@@ -157,22 +157,24 @@ def test_what_is_quoted_of_a_scene_is_short(tmp_path, text, message):
     assert re.search(message, found)
 
 
-# Paths that are not regular files
+# Paths that are not regular files, and files that are too large
+
+MAKE = {'pipe': os.mkfifo, 'folder': os.mkdir, 'zeros': lambda path: path.symlink_to('/dev/zero'),
+        'gigabytes': lambda path: (path.touch(), os.truncate(path, 2 ** 33))}
+
 
 @pytest.mark.parametrize(('name', 'kind'), [
     ('a.csv', 'pipe'), ('a.mcap', 'folder'), ('a.db3', 'pipe'), ('a.mcap.zstd', 'zeros'),
     ('a.db3.zst', 'folder'), ('a', 'zeros'), ('a.mcap', 'pipe'), ('a.csv', 'zeros'),
-    ('a.db3', 'zeros')])
-def test_what_is_no_file_is_refused_as_a_recording_and_as_a_scene(tmp_path, name, kind):
-    path = tmp_path / name
-    if kind == 'zeros':
-        path.symlink_to('/dev/zero')
-    else:
-        (os.mkfifo if kind == 'pipe' else os.mkdir)(path)
+    ('a.db3', 'zeros'), *((name, 'gigabytes') for name in ('a.csv', 'a.mcap', 'a.db3',
+                                                           'a.mcap.zstd'))])
+def test_what_is_no_file_or_too_large_is_refused_as_recording_and_scene(tmp_path, name, kind):
+    path, held = tmp_path / name, tmp_path / 'bag'
+    MAKE[kind](path)
     assert name in outcome(path)
-    assert f'{name}: cannot read the scene: expected a regular file' in outcome(
-        RECORDINGS / 'tumbler.mcap', path)
-    held = tmp_path / 'bag'
+    is_large = kind == 'gigabytes'
+    assert f'{name}: {"expected " if is_large else "cannot read the scene: expected a regular"}' \
+        in outcome(RECORDINGS / 'tumbler.mcap', path)
     described(tmp_path, {'relative_file_paths': [name]})
     path.rename(held / name)
     assert name in outcome(held)
@@ -184,14 +186,6 @@ def test_a_description_that_is_no_file_is_refused(tmp_path, make):
     (path / 'metadata.yaml').unlink()
     make(path / 'metadata.yaml')
     assert 'metadata.yaml: cannot read the metadata' in outcome(path)
-
-
-@pytest.mark.parametrize('name', ['a.csv', 'a.mcap', 'a.db3', 'a.mcap.zstd'])
-def test_a_gigabyte_of_nothing_is_refused(tmp_path, name):
-    (tmp_path / name).touch()
-    os.truncate(tmp_path / name, 2 ** 33)
-    assert name in outcome(tmp_path / name)
-    assert name in outcome(RECORDINGS / 'tumbler.mcap', tmp_path / name)
 
 
 def test_a_summary_that_claims_the_whole_of_a_large_file_is_not_read(tmp_path):

@@ -469,20 +469,3 @@ def test_gaps_do_not_depend_on_the_pieces(seed):
     assert (str(pieces), pieces.warning, pieces.usual) == (str(whole), whole.warning, whole.usual)
     assert whole.warning
     assert whole.usual == pytest.approx(np.median(np.diff(stamps[3:-3])) * 1e-9, rel=0.05)
-
-
-@pytest.mark.nightly
-def test_home_time_zone_and_assertions_have_no_effect(tmp_path):
-    def run(folder, python, **environment):
-        folder.mkdir()
-        variables = {name: value for name, value in os.environ.items() if name != 'HOME'}
-        result = subprocess.run(
-            [*python, *COMMAND[1:], str(RECORDINGS / 'tumbler.mcap'), '--scene',
-             str(CONFIG / 'tumbler.yaml'), '-o', 'm.mcap', '--plot', 'm.png'], cwd=folder,
-            env={**variables, **environment}, capture_output=True, text=True, check=False)
-        assert (result.returncode, result.stderr) == (0, '')
-        facts = [line for line in result.stdout.splitlines() if not line.startswith('speed')]
-        return facts, (folder / 'm.mcap').read_bytes(), (folder / 'm.png').read_bytes()
-    here = run(tmp_path / 'here', [sys.executable], HOME=str(tmp_path), TZ='UTC')
-    assert run(tmp_path / 'there', [sys.executable, '-O'], HOME='/proc/none',
-               TZ='Asia/Kathmandu', LC_ALL='tr_TR.UTF-8') == here
