@@ -14,8 +14,6 @@
 
 """Motions under fields: conserved quantities, and magnification of errors."""
 
-from typing import NamedTuple
-
 from mpmath import mp
 import numpy as np
 from rigid_body_ros import GravityGradient, Problem, RigidBody, State, UniformField
@@ -62,39 +60,31 @@ def _moved(start, change, speed):
                  start.angular_velocity + speed * change[3:], start.rotor_momentum)
 
 
-class Conserved(NamedTuple):
-    """A quantity that a motion conserves."""
-
-    #: The value at each time, shape (m,).
-    values: np.ndarray
-    #: The sum of the magnitudes of its terms.
-    scale: float
-
-    def drift(self):
-        """Return the largest difference from the first value, relative to the scale."""
-        return float(abs(self.values - self.values[0]).max() / self.scale)
+def _drift(values, scale):
+    return float(abs(values - values[0]).max() / scale)
 
 
-def energy(problem, motion):
-    """Return kinetic plus potential energy, J."""
+def energy_drift(problem, motion):
+    """Return the largest change of kinetic plus potential energy, relative to the kinetic."""
     kinetic = motion.kinetic_energy
-    return Conserved(kinetic + sum(one.potential_energy(
+    return _drift(kinetic + sum(one.potential_energy(
         problem.body, motion.times_ns, motion.attitude) for one in problem.fields), kinetic.max())
 
 
-def momentum_along(problem, motion):
-    """Return the momentum, N m s, about the direction of the fields, which they share."""
+def momentum_drift(problem, motion):
+    """Return the largest relative change of the momentum about the direction of the fields."""
     direction, momentum = np.asarray(problem.fields[0].field), motion.angular_momentum_space
-    return Conserved(momentum @ direction / np.linalg.norm(direction),
-                     np.linalg.norm(momentum, axis=1).max())
+    return _drift(momentum @ direction / np.linalg.norm(direction),
+                  np.linalg.norm(momentum, axis=1).max())
 
 
 @mp.workdps(30)
-def jacobi_integral(problem, motion):
+def jacobi_drift(problem, motion):
     """
-    Return Jacobi's integral, J, the energy as seen from the orbit, computed with 30 digits.
+    Return the largest change of Jacobi's integral, relative to the kinetic energy.
 
-    It is T - n (normal . L) + V, with the kinetic energy T, the momentum L in space axes, and the
+    Jacobi's integral, computed with 30 digits, is the energy as seen from the orbit. It is
+    T - n (normal . L) + V, with the kinetic energy T, the momentum L in space axes, and the
     potential V of the gravity gradient, which is the only field. Double precision would round the
     angle of the orbit.
     """
@@ -111,7 +101,7 @@ def jacobi_integral(problem, motion):
         momentum = tensor @ w
         found.append(w @ momentum / 2 - n * (normal @ (momentum + rotors))
                      + 3 * n * n * (r @ (tensor @ r)) / 2)
-    return Conserved(np.array(found), motion.kinetic_energy.max())
+    return _drift(np.array(found), motion.kinetic_energy.max())
 
 
 def under_one_field(name, seed):

@@ -20,6 +20,7 @@ from pkgutil import iter_modules
 import random
 import re
 import shutil
+from string import ascii_lowercase
 import subprocess
 import sys
 from threading import Event, Thread
@@ -133,61 +134,59 @@ def sources():
             if getattr(getattr(module, name, None), '__module__', '') == module.__name__}
 
 
+UNIONS = Union, UnionType
+
+
 class Good:
     """
     Random valid arguments for a kernel, made from its annotations.
 
-    `leaves` maps the label of each argument, and of each part of a named tuple, to its kind: a
-    type, or the dimensions of an array as texts.
+    `leaves` maps the label of each argument, and of each part of a named tuple, to its kind, a
+    type or the dimensions of an array as texts, and its value. Values by label may be replaced.
     """
 
-    def __init__(self, hints, choose, lanes):
-        self._choose = choose
+    def __init__(self, hints, seed, lanes, replaced=()):
+        self._choose, self._replaced = random.Random(seed), dict(replaced)
         #: Values of dimensions, at least 2, so that none equals the alternative after a '|'.
-        self.variables = {letter: choose.randint(2, 4) for letter in 'abcdefghijklmnopqrstuvwxyz'}
+        self.variables = {letter: self._choose.randint(2, 4) for letter in ascii_lowercase}
         self.variables['L'] = lanes
         self.leaves, self.written, self.optional = {}, set(), set()
-        self.values = {name: self._value(hint, name) for name, hint in hints.items()}
+        self.arguments = [self._value(hint, name) for name, hint in hints.items()]
 
     def _value(self, hint, label, absent=()):
-        if get_origin(hint) in (Union, UnionType):
+        if get_origin(hint) in UNIONS:
             self.optional.add(label)
             hint = self._choose.choice(get_args(hint))
         if get_origin(hint) is Annotated and hasattr(get_args(hint)[0], '_fields'):
             hint, *absent = get_args(hint)
-        elif get_origin(hint) is Annotated:
-            return self._array(label, *get_args(hint))
-        self.leaves[label] = hint
-        if hasattr(hint, '_fields'):
-            # Without one of its parts, a combination may be another one.
-            self.optional |= {f'{label}.{name}' for name, part in get_type_hints(
-                hint, include_extras=True).items() if get_origin(part) in (Union, UnionType)}
-            return hint(*(self._value(part, f'{label}.{name}', absent)
-                          for name, part in self._fields(hint, absent).items()))
-        return None if hint is type(None) else hint(0)
+        if get_origin(hint) is Annotated:
+            self.leaves[label] = self._array(label, *get_args(hint))
+        elif hasattr(hint, '_fields'):
+            self.leaves[label] = hint, hint(*(self._value(part, f'{label}.{name}', absent)
+                                              for name, part in self._fields(hint, label, absent)))
+        else:
+            self.leaves[label] = hint, None if hint is type(None) else hint(0)
+        return self._replaced.get(label, self.leaves[label][1])
 
-    def _fields(self, hint, absent):
+    def _fields(self, hint, label, absent):
         """Return the annotations of a named tuple; of those that are combined, choose some."""
-        hints = get_type_hints(hint, include_extras=True)
-        if absent:
-            return {name: type(None) if name in absent else get_args(part)[0]
-                    if get_origin(part) in (Union, UnionType) else part
-                    for name, part in hints.items()}
-        if given := getattr(hint, 'combinations', None):
-            chosen = self._choose.choice(given)
-            return {name: part if get_origin(part) not in (Union, UnionType) else
-                    get_args(part)[0] if name in chosen else type(None)
-                    for name, part in hints.items()}
-        return hints
+        hints, given = get_type_hints(hint, include_extras=True), getattr(hint, 'combinations', ())
+        optional = {name for name, part in hints.items() if get_origin(part) in UNIONS}
+        # Without one of its parts, a combination may be another one.
+        self.optional |= {f'{label}.{name}' for name in optional}
+        if absent or given:
+            kept = optional - {*absent} if absent else self._choose.choice(given)
+            for name in optional:
+                hints[name] = get_args(hints[name])[0] if name in kept else type(None)
+        return hints.items()
 
     def _array(self, label, array, shape, *marks):
-        self.leaves[label] = shape.split()
         if WRITTEN in marks:
             self.written.add(label)
         element = get_args(array)[-1]  # a type or, before numpy 2.5, a dtype of it
         dtype, = [mark for mark in marks if isinstance(mark, np.dtype)] or [
             (get_args(element) or (element,))[0]]
-        return np.zeros([*map(self._size, shape.split())], dtype)
+        return shape.split(), np.zeros([*map(self._size, shape.split())], dtype)
 
     def _size(self, text):
         factor, variable, offset = re.fullmatch(
@@ -196,24 +195,10 @@ class Good:
             return int(factor)
         return int(factor or 1) * self.variables[variable] + int(offset or 0)
 
-    def get(self, label):
-        name, *rest = label.split('.')
-        value = self.values[name]
-        for part in rest:
-            value = getattr(value, part)
-        return value
-
-    def having(self, label, value):
-        """Return all arguments, with one part replaced."""
-        outer, _, last = label.rpartition('.')
-        if outer:
-            return self.having(outer, self.get(outer)._replace(**{last: value}))
-        return [*{**self.values, label: value}.values()]
-
     def sharing(self, text):
         """Return the labels of the arrays with a dimension that uses the variable in a text."""
         variable = re.sub('[^a-z]', '', text)
-        return [label for label, kind in self.leaves.items() if isinstance(kind, list)
+        return [label for label, (kind, _) in self.leaves.items() if isinstance(kind, list)
                 for other in kind if variable and variable in other]
 
 
@@ -228,7 +213,7 @@ def other_dimensions(array, good, label, choose):
 
 def other_shape(array, good, label, choose):
     place = choose.randrange(array.ndim)
-    text = good.leaves[label][place]
+    text = good.leaves[label][0][place]
     shared = good.sharing(text) or 2 * [label]
     if len(shared) == 1 and not text[0].isdigit():
         return None  # any size is right
@@ -271,15 +256,13 @@ NUMBERS = {int: [1.5, None, '1', 2 ** 63, (), np.zeros(2)],
            type(None): [0, (), np.zeros(2)]}
 
 
-def spoilt(good, choose):
-    """Return the expected error, the labels that it may name, and arguments with one fault."""
-    label, kind = choose.choice([*good.leaves.items()])
-    value = good.get(label)
+def spoilt(good, label, choose):
+    """Return the expected error, the labels that it may name, and a wrong value; None if none."""
+    kind, value = good.leaves[label]
     if isinstance(kind, list):
-        found = choose.choice(SPOILT)(value, good, label, choose)
-        return found and (*found[:2], good.having(label, found[2]))
+        return choose.choice(SPOILT)(value, good, label, choose)
     options = NUMBERS.get(kind) or [[*value], value[:-1], (*value, None), 1.0]
-    return TypeError, [label], good.having(label, choose.choice(options))
+    return TypeError, [label], choose.choice(options)
 
 
 @pytest.mark.slow
@@ -287,19 +270,21 @@ def spoilt(good, choose):
 def test_an_argument_of_the_wrong_kind_is_named(name, source):
     # One boundary in C checks the arguments for all levels.
     level, choose = _compiled.LEVELS[0], random.Random(name)
-    kernel = _compiled.kernels(level)[name]
+    kernel, lanes = _compiled.kernels(level)[name], _compiled.LANES[level]
     hints = get_type_hints(source, include_extras=True)
     del hints['return']
     tried = set()
-    for _ in range(200):
-        if case := spoilt(Good(hints, choose, _compiled.LANES[level]), choose):
-            error, labels, arguments = case
+    for number in range(200):
+        good = Good(hints, number, lanes)
+        label = choose.choice([*good.leaves])
+        if case := spoilt(good, label, choose):
+            error, labels, wrong = case
             with pytest.raises(error) as raised:
-                kernel(*arguments)
+                kernel(*Good(hints, number, lanes, {label: wrong}).arguments)
             place, = re.findall(rf'^{name}: expected ([\w.]+): .+, found .+', str(raised.value))
             # There are several kinds of terms, and the kernel cannot know which was meant.
-            assert place in labels or {place[:10], labels[0][:10]} == {'rows.terms'}
-            tried.add(labels[0].split('.')[0])
+            assert place in labels or {place[:10], label[:10]} == {'rows.terms'}
+            tried.add(label.split('.')[0])
     assert tried == set(hints)
 
 

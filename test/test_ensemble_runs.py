@@ -242,11 +242,6 @@ def test_noise_differs_from_sample_to_sample_and_from_run_to_run():
     assert len(np.unique(noise)) == noise.size
 
 
-def test_without_dispersion_a_run_ends_where_the_nominal_one_does():
-    found = ensemble(Dispersion('initial_angular_velocity.x', 'normal', (1e-300,)))
-    assert found.rows(0, 1)['angle_from_nominal'] == 0.0
-
-
 @pytest.mark.parametrize(('one', 'values', 'message'), [
     (Dispersion('clock_offset', 'normal', (0.1,), relative=True), {},
      'clock_offset: relative: expected a nominal value other than 0'),
