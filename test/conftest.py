@@ -58,7 +58,7 @@ NEEDS = {
     'rclpy': ['sources', *(
         path.stem.removeprefix('test_') for path in sorted(Path(__file__).parent.glob('test_*.py'))
         if re.search('^pytestmark.*mark.ros', path.read_text(encoding='utf-8'), re.MULTILINE))],
-    'mpmath': ['actuators', 'arm', 'changes', 'elementary', 'elliptic', 'examples', 'extremes',
+    'mpmath': ['actuators', 'arm', 'changes', 'elementary', 'examples', 'extremes',
                'fields', 'free_motion', 'laws', 'peers', 'reference', 'sensitivity',
                'sources', 'steppers', 'terms', 'tradeoff', 'truth', 'validation',
                'wheels'],  # not known to rosdep

@@ -56,7 +56,8 @@ def test_motion_is_that_of_fifty_digits_however_late(moments, rates, span_ns):
     assert speed < 1e-15
 
 
-@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', range(60))
 def test_any_tensor_and_any_start(seed):
     random = np.random.default_rng(seed)
     spread = random.normal(size=(3, 3)) * 10.0 ** random.uniform(-2, 2, 3)

@@ -140,15 +140,10 @@ def test_unsigned_times_that_fit_are_taken():
     np.testing.assert_array_equal(log.at(np.array([7], np.uint64))[0], [[1.0, 0.0, 0.0]])
 
 
-def measured(count, seed=4):
-    """Return stamps and the momentum of rotors, which also come to rest and reverse."""
-    random = np.random.default_rng(seed)
-    stamps = EPOCH_NS + np.cumsum(random.integers(SECOND // 2000, SECOND // 500, count))
-    return stamps, np.cumsum(random.normal(scale=0.01, size=(count, 3)), axis=0)
-
-
 def test_rotors_follow_the_measured_momentum():
-    stamps, momenta = measured(60_000)
+    random = np.random.default_rng(4)
+    stamps = EPOCH_NS + np.cumsum(random.integers(SECOND // 2000, SECOND // 500, 60_000))
+    momenta = np.cumsum(random.normal(scale=0.01, size=(60_000, 3)), axis=0)  # of both signs
     wheels = TorqueLog.from_momentum(stamps, momenta)
     assert not wheels.in_space.any()
     assert not wheels.torques[-1].any()
