@@ -34,8 +34,6 @@ from rigid_body_ros import (
     TorqueLog,
 )
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.ensemble.dispersions import Dispersion
-from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.replay import replay
 from rigid_body_ros.scene import load
 from rigid_body_ros.tradeoff.problem import Case
@@ -193,24 +191,3 @@ def test_limits_are_those_of_the_axes_of_the_body_in_principal_axes_too():
     case = Case(problem, log.times_ns)
     np.testing.assert_allclose(case.in_principal_axes(0.01),
                                problem.propagate(at=log.times_ns).attitude, rtol=0, atol=1e-14)
-
-
-def test_each_run_of_an_ensemble_is_the_motion_under_the_actuator():
-    log = TorqueLog(np.arange(60) * 50_000_000, np.random.default_rng(12).normal(size=(60, 3)))
-    problem = Problem(BODY, START, log, actuator=Actuator(0.03, 0.07))
-    ensemble = Ensemble(problem, 3 * SECOND, tuple(
-        Dispersion(key, 'normal', (0.1,)) for key in ('torque_gain', 'torque_bias.x')), 1)
-    runs = ensemble.rows(0, 3)
-    for k, gain in enumerate(runs['torque_gain']):
-        one = problem.replaced(log=log.with_torques(gain * log.torques)).biased(
-            np.array([runs['torque_bias.x'][k], 0.0, 0.0]), 3 * SECOND)
-        assert [runs[f'attitude.{axis}'][k] for axis in 'xyzw'] == one.propagate(
-            at=[3 * SECOND]).attitude[0].tolist()
-
-
-@pytest.mark.parametrize('actuator', [Actuator(0.1, 0.2), (Actuator(0.1, 0.2), None)])
-def test_a_constant_torque_without_commands_has_no_actuator(actuator):
-    found, expected = (Problem(BODY, START, **given).biased(np.array([1e-3, 0.0, 0.0]), SECOND)
-                       for given in ({'actuator': actuator}, {}))
-    assert_array_equal(found.propagate(at=[SECOND]).attitude,
-                       expected.propagate(at=[SECOND]).attitude)

@@ -37,13 +37,10 @@ from rigid_body_ros import (
     Wheel,
 )
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.ensemble.dispersions import Dispersion
-from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.live.events import IMPOSSIBLE, RejectedError
 from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.run import Run
-from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.propagation.sources import BODY as SOURCE
 from rigid_body_ros.propagation.sources import COMMANDS
 from rigid_body_ros.replay.check import drift
@@ -258,14 +255,6 @@ def test_rotors_that_do_what_the_wheels_do_move_a_changing_body_alike(keep, time
     assert np.array_equal(other.attitude, motion.attitude)
     assert np.array_equal(other.angular_velocity, motion.angular_velocity)
 
-
-def test_the_speeds_of_wheels_at_the_start_are_kept_where_the_start_varies():
-    start = replace(START, wheel_speeds=(50.0, -20.0, 0.0, 70.0))
-    problem = Problem(BODY, start, wheels=FREE)
-    runs = Ensemble(problem, SECOND, (Dispersion('inertia.ixx', 'normal', (0.0,)),), 1).rows(0, 1)
-    assert [runs[f'attitude.{axis}'][0] for axis in 'xyzw'] == problem.propagate(
-        at=[SECOND]).attitude[0].tolist()
-    assert last_digit_effect(problem, [SECOND]) < 1e-13
 
 # Largest speeds
 
