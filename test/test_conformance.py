@@ -15,7 +15,6 @@
 """The motions of the folder `conformance`: this package, and other engines where installed."""
 
 from importlib.util import find_spec
-import json
 from pathlib import Path
 import subprocess
 import sys
@@ -41,21 +40,6 @@ def check(results, *options):
     """Run the checker on results."""
     return subprocess.run([sys.executable, FOLDER / 'check.py', results, *options], text=True,
                           capture_output=True, check=False)
-
-
-def doubles(value):
-    """Return the doubles in inputs, in order."""
-    if isinstance(value, dict | list):
-        parts = value.values() if isinstance(value, dict) else value
-        return [number for part in parts for number in doubles(part)]
-    return [float.fromhex(value)] if isinstance(value, str) and value not in (
-        'body', 'space') else [value]
-
-
-@pytest.mark.parametrize('path', MOTIONS, ids=lambda path: path.stem)
-def test_decimal_and_hexadecimal_inputs_are_the_same_doubles(path):
-    motion = json.loads(path.read_text())
-    assert doubles(motion['inputs']) == doubles(motion['inputs_in_hexadecimal'])
 
 
 @pytest.fixture(scope='module')

@@ -14,7 +14,6 @@
 
 """Compiled kernels and plain Python reproduce every bit of the committed vectors."""
 
-from collections import Counter
 import math
 import os
 import re
@@ -25,8 +24,7 @@ from conftest import at_night, ROOT
 import numpy as np
 import pytest
 from rigid_body_ros import GravityGradient, UniformField
-from rigid_body_ros.engine._compiled import LANES, LEVELS
-from rigid_body_ros.propagation import SOLVERS
+from rigid_body_ros.engine._compiled import LEVELS
 import vectors
 
 
@@ -61,31 +59,6 @@ def test_what_the_file_has_changed_or_lacks_is_a_difference(tmp_path, line, foun
     assert len(differences) == len(reported)
     for difference, expected in zip(differences, reported):
         assert difference.startswith(name + expected)
-
-
-@pytest.mark.slow
-def test_they_cover_all_solvers_terms_and_interpolations(motions):
-    assert len({motion.name for motion in motions}) == len(motions) == 250
-    assert sum(bool(motion.group) for motion in motions) == 72
-    assert Counter(output.key.split()[0] for motion in motions for output in motion.outputs) == {
-        'state': 731, 'euler': 250, 'rotor_momentum': 133}
-    problems = [motion.problem for motion in motions]
-    assert {problem.options.solver for problem in problems} == set(SOLVERS)
-    assert {log.interpolation for problem in problems for log in problem.logs} == {
-        'hold', 'linear', 'cubic'}
-    assert {problem.body.symmetry for problem in problems} == {
-        'sphere', 'symmetric top', 'asymmetric top'}
-    for has_term in (lambda problem: problem.body.is_damped, lambda problem: problem.wheels,
-                     lambda problem: len(problem.logs) > 1, lambda problem: not problem.logs,
-                     lambda problem: problem.options.torque_timeout,
-                     lambda problem: problem.fields,
-                     lambda problem: problem.fields and problem.logs,
-                     lambda problem: any(isinstance(field, GravityGradient)
-                                         for field in problem.fields),
-                     lambda problem: any(0 < log.in_space.mean() < 1 for log in problem.logs)):
-        assert sum(map(bool, map(has_term, problems))) >= 10
-    groups = Counter(motion.group for motion in motions if motion.group)
-    assert min(groups.values()) > max(LANES.values())
 
 
 @pytest.mark.slow
