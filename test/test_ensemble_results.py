@@ -32,13 +32,9 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.report import picture
 from rigid_body_ros.report.page import html
 from rigid_body_ros.report.report import Report
+from test_ensemble import SCENE
 import zarr
 
-SCENE = """/**:
-  ros__parameters:
-    inertia: {ixx: 0.045, iyy: 0.12, izz: 0.14}
-    initial_angular_velocity: {x: 0.15, y: 0.6, z: -0.1}
-"""
 VARY = """inertia.izz: {normal: 0.014}
 initial_attitude: {tilt: 0.02}
 initial_angular_velocity.y: {normal: 0.01}
@@ -114,7 +110,8 @@ def test_the_bands_are_the_percentiles_of_the_motions(arguments, drawn, tmp_path
     rows = [0, 2, 4, 6, 8, 10, 12, 14, 17]
     loaded = scene.load(tmp_path / 'scene.yaml')
     times = ensemble['time'][:][rows]
-    nominal = propagate(loaded.body, loaded.start, at=np.round(times * 1e9).astype(np.int64))
+    nominal = propagate(loaded.body, loaded.start, at=loaded.start.time_ns + np.round(
+        times * 1e9).astype(np.int64))
     motions = ensemble['motion'][:, rows, :4]
     angles = so3.angle_between(motions[np.isfinite(motions[:, 0, 0])], nominal.attitude)
     expected = np.percentile(angles, [5, 25, 50, 75, 95], axis=0, method='inverted_cdf')
