@@ -20,9 +20,8 @@ import os
 import re
 import shlex
 import shutil
-import sys
 
-from conftest import ROOT, SECOND
+from conftest import program, ROOT, SECOND
 from controllers import Pid
 import numpy as np
 import psutil
@@ -234,15 +233,11 @@ def test_a_worker_that_dies_is_one_line(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_controller_that_does_not_return_ends_with_a_command_that_is_killed(tmp_path):
-    (tmp_path / 'endless.py').write_text('from pathlib import Path\n\n\ndef law(state, time):\n'
-                                         '    while Path("go").exists():\n'
-                                         '        Path("begun").touch()\n'
-                                         '    return [0.0, 0.0, 0.0]\n')
-    code = ('import sys\nfrom pathlib import Path\nfrom rigid_body_ros.commands import main\n'
-            'from rigid_body_ros.ensemble import driver\ncompute = driver.compute\n'
-            'driver.compute = lambda *given: Path("go").touch() or compute(*given)\n'
-            'main.attitude_ensemble(sys.argv[1:])')
-    command = psutil.Popen([sys.executable, '-c', code, *given(tmp_path, 'endless:law')],
+    (tmp_path / 'endless.py').write_text(
+        'from multiprocessing import parent_process\nfrom pathlib import Path\n\n\n'
+        'def law(state, time):\n    while parent_process():\n        Path("begun").touch()\n'
+        '    return [0.0, 0.0, 0.0]\n')
+    command = psutil.Popen([*program('attitude_ensemble'), *given(tmp_path, 'endless:law')],
                            cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(ROOT)})
     wait_for((tmp_path / 'begun').exists)
     children = command.children()
