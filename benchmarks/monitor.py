@@ -34,11 +34,10 @@ from rigid_body_ros import Problem, RigidBody, so3, State, TorqueLog  # noqa: E4
 from rigid_body_ros.inference.monitor import ERROR, Monitor, Settings  # noqa: E402
 from scipy.signal import lfilter  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
+from simulated import ATTITUDE_NOISE, RATE_NOISE, SECOND  # noqa: E402
 from tables import header, row  # noqa: E402
 
-SECOND = 10 ** 9
 TORQUE_HZ, MOCAP_HZ, GYRO_HZ = 20, 50, 100
-ATTITUDE_NOISE, RATE_NOISE = 2e-3, 5e-3
 #: kg m^2; the body of `config/tumbler.yaml`.
 INERTIA = np.array([[0.045, 0.002, -0.001], [0.002, 0.120, 0.003], [-0.001, 0.003, 0.140]])
 #: s; length of a simulated piece, and how late a message may be, which must be longer.

@@ -34,11 +34,6 @@ SECOND = 10 ** 9
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
 
-def no_torque():
-    """Return an empty array of torques."""
-    return np.zeros((0, 3))
-
-
 @dataclass(frozen=True)
 class Problem:
     """
@@ -56,7 +51,7 @@ class Problem:
     moments: tuple
     rates: tuple
     seconds: int
-    torques: np.ndarray = field(default_factory=no_torque)
+    torques: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def end_ns(self):

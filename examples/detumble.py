@@ -31,7 +31,8 @@ from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.node import Node
-from torque_rods import measured_field, run, state, torque, wrench
+from relay import run
+from torque_rods import measured_field, state, torque, wrench
 
 #: A m^2 s/T.
 _GAIN = 5e4

@@ -29,8 +29,9 @@ import math
 from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.node import Node
+from relay import run
 from sensor_msgs.msg import JointState
-from torque_rods import run, state
+from torque_rods import state
 
 NAMES = ['rw_x', 'rw_y', 'rw_z', 'rw_skewed']
 _SKEWED = 1.0 / math.sqrt(3.0)

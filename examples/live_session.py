@@ -37,6 +37,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
 from rigid_body_ros import messages, recording
 from rigid_body_ros.runtime import interrupts
 from rosgraph_msgs.msg import Clock
@@ -70,8 +71,6 @@ class LiveSession:
         ROS_DOMAIN_ID.
     arguments : str
         Further arguments of the node, such as '-p', 'use_sim_time:=true'.
-    program : list of str
-        Command that runs the node; the arguments follow it.
 
     Attributes
     ----------
@@ -95,10 +94,10 @@ class LiveSession:
     #: s; how long `wait_until` receives messages before it checks the condition again.
     pause = 0.02
 
-    def __init__(self, scene, domain, *arguments, program=_PROGRAM):
+    def __init__(self, scene, domain, *arguments):
         self._domain = domain
         self.environment = os.environ | _LOCAL | {'ROS_DOMAIN_ID': str(domain)}
-        self.command = [*program, '--ros-args', '--params-file', str(scene), *arguments]
+        self.command = [*_PROGRAM, '--ros-args', '--params-file', str(scene), *arguments]
         # With these arguments, the node publishes nothing before the first /clock or torque.
         self._waits = {'use_sim_time:=true', 'mode:=lockstep'} & {*arguments}
         self.kinds = dict(_KINDS)
@@ -139,7 +138,6 @@ class LiveSession:
             self.node.create_subscription(kind, topic, self.received[topic].append, qos, raw=True)
         self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self.diagnostics.append, 100)
         self._initial_state = self.node.create_publisher(Odometry, 'initial_state', 10)
-        self._reset = self.node.create_client(Trigger, f'/{NODE}/reset')
         self.wait_until(lambda: self._torque.get_subscription_count()
                         and self._initial_state.get_subscription_count(), 'the node to subscribe')
         if not self._waits:
@@ -184,7 +182,7 @@ class LiveSession:
 
     def reset(self):
         """Call the service ~/reset and return its response."""
-        return self._result(self._reset.call_async(Trigger.Request()))
+        return self.call(Trigger, 'reset')
 
     def status(self, name):
         """Return the latest DiagnosticStatus with this name."""
@@ -216,9 +214,7 @@ class LiveSession:
 
     def set_clock(self, time_ns):
         """Publish simulated time."""
-        clock = Clock()
-        clock.clock.sec, clock.clock.nanosec = divmod(time_ns, 10 ** 9)
-        self._clock.publish(clock)
+        self._clock.publish(Clock(clock=Time(nanoseconds=time_ns).to_msg()))
 
     def now_ns(self):
         """Return the wall time, ns."""
@@ -253,7 +249,9 @@ class LiveSession:
         client = self.node.create_client(kind, f'/{NODE}/{name}')
         try:
             self.wait_until(client.service_is_ready, f'the service {name}')
-            return self._result(client.call_async(kind.Request(**fields)))
+            future = client.call_async(kind.Request(**fields))
+            self.wait_until(future.done, 'a response')
+            return future.result()
         finally:
             self.node.destroy_client(client)
 
@@ -269,16 +267,10 @@ class LiveSession:
         return [*map(parameter_value_to_python, values)]
 
     def dump_parameters(self, path):
-        """Write the parameters of the node as `ros2 param dump` does."""
+        """Write the parameters of the node into a parameter file."""
         names = self.call(ListParameters, 'list_parameters').result.names
-        tree = {}
-        for name, value in zip(names, self.parameters(*names)):
-            *groups, leaf = name.split('.')
-            branch = tree
-            for group in groups:
-                branch = branch.setdefault(group, {})
-            branch[leaf] = value
-        Path(path).write_text(yaml.dump({f'/{NODE}': {'ros__parameters': tree}}))
+        parameters = dict(zip(names, self.parameters(*names)))
+        Path(path).write_text(yaml.dump({f'/{NODE}': {'ros__parameters': parameters}}))
 
     def stop(self, number=signal.SIGINT):
         """Stop the node with a signal, receive its last messages, return its exit status."""
@@ -292,15 +284,6 @@ class LiveSession:
         count = -1
         while count != (count := sum(map(len, self.received.values()))):
             self.spin(seconds)
-
-    def restart(self):
-        """Kill the node as if it crashed, start it again, and wait for its start state."""
-        self.process.kill()
-        self.process.wait()
-        self.spin(0.3)  # receive what it has sent
-        count = len(self.received[COMMITTED])
-        self.process = subprocess.Popen(self.command, env=self.environment, stderr=self._stderr)
-        self.wait_until(lambda: len(self.received[COMMITTED]) > count, 'a start state')
 
     def end(self):
         """Stop the node with SIGINT, receive its last messages, return its log."""
@@ -320,7 +303,3 @@ class LiveSession:
                 writer.add_topic(topic, kind)
                 for data in self.received[topic]:
                     writer.write(topic, kind.decode(data).stamp_ns, data)
-
-    def _result(self, future):
-        self.wait_until(future.done, 'a response')
-        return future.result()

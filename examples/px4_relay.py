@@ -28,10 +28,9 @@ import sys
 
 from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
-import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from relay import run
 
 try:
     from px4_msgs.msg import VehicleAngularVelocity, VehicleAttitude, VehicleTorqueSetpoint
@@ -40,11 +39,6 @@ except ImportError:
 
 #: N m about front, right and down, at a setpoint of 1; the mixer and the motors decide it.
 MAX_TORQUE = (2.0, 2.0, 0.5)
-
-
-def microseconds(stamp) -> int:
-    """Return a stamp in PX4's unit. The node's step must be a whole number of microseconds."""
-    return stamp.sec * 10 ** 6 + stamp.nanosec // 1000
 
 
 def torque_of(setpoint: VehicleTorqueSetpoint) -> WrenchStamped:
@@ -60,9 +54,10 @@ def torque_of(setpoint: VehicleTorqueSetpoint) -> WrenchStamped:
 
 
 def messages_of(state: Odometry) -> tuple[VehicleAttitude, VehicleAngularVelocity]:
-    """Return a state as PX4's messages, whose quaternion is w x y z."""
-    time, q, w = microseconds(state.header.stamp), state.pose.pose.orientation, \
-        state.twist.twist.angular
+    """Return a state as PX4's messages, whose quaternion is w x y z, and whose time is in us."""
+    stamp, q, w = state.header.stamp, state.pose.pose.orientation, state.twist.twist.angular
+    # The node's step must be a whole number of microseconds.
+    time = stamp.sec * 10 ** 6 + stamp.nanosec // 1000
     return (VehicleAttitude(timestamp=time, timestamp_sample=time, q=[q.w, q.x, q.y, q.z]),
             VehicleAngularVelocity(timestamp=time, timestamp_sample=time, xyz=[w.x, w.y, w.z]))
 
@@ -87,10 +82,4 @@ class Px4Relay(Node):
 
 
 if __name__ == '__main__':
-    rclpy.init()
-    try:
-        rclpy.spin(Px4Relay())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        rclpy.try_shutdown()
+    run(Px4Relay)

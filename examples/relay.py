@@ -22,7 +22,7 @@ For your message, replace the type of the subscription and the function `torque_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from geometry_msgs.msg import WrenchStamped
 import rclpy
@@ -61,11 +61,16 @@ class Relay(Node):
         self._torque.publish(wrench)
 
 
-if __name__ == '__main__':
+def run(make: Callable[[], Node]) -> None:
+    """Run a node until Ctrl-C."""
     rclpy.init()
     try:
-        rclpy.spin(Relay())
+        rclpy.spin(make())
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
         rclpy.try_shutdown()
+
+
+if __name__ == '__main__':
+    run(Relay)

@@ -21,15 +21,12 @@ This torque has no component along the field.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import math
 
 from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
 import numpy as np
-import rclpy
-from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
 from rigid_body_ros import so3
 
 #: A m^2; the largest dipole of a rod. There is one rod on each body axis.
@@ -68,14 +65,3 @@ def wrench(header: object, values: np.ndarray) -> WrenchStamped:
     message.header.stamp = header.stamp
     message.wrench.torque.x, message.wrench.torque.y, message.wrench.torque.z = values.tolist()
     return message
-
-
-def run(make: Callable[[], Node]) -> None:
-    """Run a node until Ctrl-C."""
-    rclpy.init()
-    try:
-        rclpy.spin(make())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        rclpy.try_shutdown()

@@ -35,7 +35,8 @@ from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.node import Node
-from torque_rods import measured_field, run, state, torque, wrench
+from relay import run
+from torque_rods import measured_field, state, torque, wrench
 
 #: N m/rad, N m s/rad; gains of the wheels.
 _PROPORTIONAL, _DERIVATIVE = 3.5e-4, 5e-3

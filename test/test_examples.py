@@ -26,7 +26,6 @@ import plan_slew
 import pytest
 from rigid_body_ros import Problem, propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.autodiff import vjp
-import spinning_top
 
 pytestmark = pytest.mark.slow
 NUMBER = r'(?<!\w)[-+]?\d+\.?\d*(?:e[-+]?\d+)?'
@@ -60,21 +59,6 @@ def textbook(moments, rates):
         one = (high - middle) * (square - energy * low)
         modulus = (middle - low) * (energy * high - square) / one
         return float(2 * mp.ellipk(modulus) * mp.sqrt(low * middle * high / one))
-
-
-def test_the_top_precesses_at_the_rate_of_the_formula(tmp_path):
-    lines = printed(tmp_path, 'spinning_top')
-    assert lines['symmetry'] == 'symmetric top'
-    across, _, along = spinning_top.child_top().principal_moments
-    np.testing.assert_allclose(numbers(lines['principal moments'])[:3], (across, across, along),
-                               rtol=1e-5)
-    wobble, _, spin = spinning_top.RATES
-    momentum = np.hypot(across * wobble, along * spin)
-    assert numbers(lines['axis to momentum']) == pytest.approx(
-        [np.degrees(np.arctan2(across * wobble, along * spin))], abs=1e-3)
-    for found in ('precession, motion', 'precession, |L|/I_t'):
-        assert numbers(lines[found])[0] == pytest.approx(momentum / across, rel=1e-14, abs=0.0)
-    assert numbers(lines['relative difference'])[0] < 1e-14
 
 
 def test_the_wing_nut_flips_as_often_as_the_formula_says(tmp_path):

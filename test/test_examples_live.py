@@ -53,7 +53,7 @@ def test_the_demo_runs(root, domain):
     process = start(root, 'demo', domain)
     words, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, words + errors
-    assert 'Live and replay agree bit for bit at 3001 of 3001 stamps.' in words
+    assert 'same bits     3001 of 3001' in words
     assert 'open demo/report.html in a browser' in words
     assert 'attitude_replay' in (root / 'demo' / 'report.html').read_text(encoding='utf-8')
 

@@ -91,10 +91,10 @@ def test_rerun_finds_no_fault(plain, with_rotors, tmp_path, name, topics):
     assert all(row[0] == 'ok' and row[4] == '—' for row in rows)
 
 
-def shown(folder, motion, scene):
+def shown(folder, scene):
     """Return the entities in the file that the example writes, and their numbers of rows."""
     output = folder / 'shown.rrd'
-    subprocess.run([sys.executable, ROOT / 'examples' / 'show_in_rerun.py', motion, '--scene',
+    subprocess.run([sys.executable, ROOT / 'examples' / 'show_in_rerun.py', TORQUES, '--scene',
                     scene, '--save', output], check=True, timeout=120)
     rerun(folder, 'rrd', 'verify', output)
     rows = {}
@@ -106,9 +106,8 @@ def shown(folder, motion, scene):
 
 
 @pytest.mark.parametrize('has_rotors', [False, True], ids=['plain', 'rotors'])
-def test_the_example_shows_every_sample(plain, with_rotors, tmp_path, has_rotors):
-    scene, motion = with_rotors if has_rotors else (SCENE, plain)
-    rows = shown(tmp_path, motion, scene)
+def test_the_example_shows_every_sample(with_rotors, tmp_path, has_rotors):
+    rows = shown(tmp_path, with_rotors[0] if has_rotors else SCENE)
     for entity in ('/space/body', '/space/angular_momentum', '/space/angular_velocity',
                    '/plots/euler_angles', '/plots/quaternion', '/plots/angular_velocity',
                    '/plots/angular_momentum'):
