@@ -108,13 +108,6 @@ class Case:
         return found
 
 
-def camera_and_gyro(motion, attitude, rate):
-    """Return two sensors with a common clock, one of which is mounted askew."""
-    camera = motion.measured(attitude, None, topic='/camera')
-    return [mounted(shifted(camera, 0.035), VECTOR),
-            shifted(motion.measured(None, rate, topic='/gyro'), 0.035)]
-
-
 def biased(motion, _, rate):
     gyro = motion.measured(None, rate)
     return [replace(gyro, angular_velocity=gyro.angular_velocity + 10.0 * BIAS)]
@@ -178,24 +171,17 @@ def test_a_fit_is_exact_without_noise(name):
 
 #: Fits of noisy measurements.
 COVERED = {
-    'attitudes': Case('inertia start', sensors=lambda motion, attitude, _: [
-        motion.measured(attitude, None)]),
     'gyro_bias': Case('inertia start gyro_bias', {}, {'gyro_bias': 10.0 * BIAS}, sensors=biased),
-    'clock_offset and mount': Case('inertia start clock_offset mount', {}, {
-        'clock_offset': 0.035, 'mount': VECTOR}, sensors=camera_and_gyro),
     'clock_offset of seconds': Case('inertia start clock_offset', {}, {
         'clock_offset': 1.5}, sensors=lambda motion, *noise: [
             shifted(motion.measured(*noise), 1.5)]),
     'torque_gain and torque_bias': Case('start torque_gain torque_bias', {
         'bias': BIAS, 'gain': 0.9}, {'torque_gain': 0.9, 'torque_bias': BIAS}, TRUE),
-    'inertia and torque_bias': Case('inertia start torque_bias', {'bias': BIAS}, {
-        'torque_bias': BIAS}),
     'damping': Case('inertia start damping', {'damping': DAMPING}, {'damping': DAMPING[ENTRIES]}),
     'rotor_momentum': Case('start rotor_momentum', {
         'momentum': np.tile([0.0, 0.01, 0.02], (61, 1))}, {'rotor_momentum': (0.0, 0.01, 0.02)},
         TRUE, experiment={'start': State(0, (0.1, -0.2, 0.3, 0.9), (0.5, 1.0, 0.2)),
                           'wheels': None}),
-    'a flywheel': Case('inertia start', FLYWHEEL),
     'a field': Case('pivot.moment inertia start', WEIGHT, {'pivot.moment': MOMENT},
                     experiment={'fields': [NEAR]})}
 

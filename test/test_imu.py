@@ -14,7 +14,6 @@
 
 """The errors of an IMU depend only on seed and stamp, with the statistics in the scene."""
 
-import math
 
 from conftest import at_night, CONFIG, RECORDINGS, SECOND
 import numpy as np
@@ -119,13 +118,6 @@ def test_the_noise_has_the_same_bits_on_every_machine():
     assert [number.hex() for number in [*vectors[0].tolist(), *rates[0].tolist()]] == [
         '0x1.89d0d849de971p-10', '-0x1.135951f8980a9p-9', '-0x1.5d335252499e4p-8',
         '-0x1.05d88bc572ed9p-3', '-0x1.ef32f9fdda77fp-3', '-0x1.f76e42c28d93fp-4']
-
-
-def test_logarithms_are_those_of_the_c_library_but_for_rounding():
-    numbers = np.concatenate([np.geomspace(2.0 ** -53, 1.0, 1001),
-                              1.0 - np.geomspace(1e-16, 0.5, 99)])
-    np.testing.assert_allclose(draws.logarithms(numbers), [*map(math.log, numbers.tolist())],
-                               rtol=5e-16)
 
 
 def test_seeds_give_other_noise():
