@@ -497,40 +497,36 @@ def test_a_fault_of_one_of_two_sensors_is_named_without_a_model(name):
     assert topic == '/mocap' or TEXTS.get(name, '') in suspect.text
 
 
+def under_torque_in_space(true):
+    exact = propagate(true.body, true.start, TorqueLog(true.torque_times, true.torques, 'space'),
+                      at=true.stamps_ns)
+    return replace(true, attitude=exact.rotation, rates=exact.angular_velocity)
+
+
+#: What is wrong about the measurement, the body or the log, by the name of the suspect.
+MIXED_UP = {
+    'start': lambda _: {'sensor': noisy(space=Rotation.from_euler('x', 180.0, degrees=True))},
+    'clock_offset': lambda _: {'sensor': noisy(clock=0.035)},
+    'gyro_mount': lambda _: {'sensor': broken('mount')},
+    'torque_axes': lambda true: {'log': TorqueLog(
+        true.torque_times, true.torques[:, [1, 0, 2]] * [1.0, -1.0, 1.0])},
+    'torque_in_space': lambda true: {'sensor': under_torque_in_space(true).measured(1e-3, 2e-3)},
+    'torque_in_body': lambda true: {'log': TorqueLog(true.torque_times, true.torques, 'space')},
+    'torque_gain': lambda true: {'log': TorqueLog(true.torque_times, true.torques / 0.8)},
+    'inertia': lambda true: {'body': RigidBody(
+        true.inertia + np.diag([0.002, -0.001, 0.003]))}}
+
+
 def mixed_up(name):
-    """Return the measurement, the body and the log with a named mix-up of conventions."""
-    true, sensor, body, log = motion(), noisy(), motion().body, motion().log
-    times, torques = true.torque_times, true.torques
-    space = TorqueLog(times, torques, 'space')
-    if name == 'start':
-        sensor = noisy(space=Rotation.from_euler('x', 180.0, degrees=True))
-    elif name == 'clock_offset':
-        sensor = noisy(clock=0.035)
-    elif name == 'torque_axes':
-        log = TorqueLog(times, torques[:, [1, 0, 2]] * [1.0, -1.0, 1.0])
-    elif name == 'torque_in_space':
-        exact = propagate(body, true.start, space, at=true.stamps_ns)
-        sensor = replace(true, attitude=exact.rotation, rates=exact.angular_velocity
-                         ).measured(1e-3, 2e-3)
-    elif name == 'torque_in_body':
-        log = space
-    elif name == 'gyro_mount':
-        sensor = broken('mount')
-    elif name == 'torque_gain':
-        log = TorqueLog(times, torques / 0.8)
-    elif name == 'inertia':
-        body = RigidBody(body.inertia + np.diag([0.002, -0.001, 0.003]))
-    else:
-        sensor = broken(name)
-    return sensor, body, log
+    """Return the body, the log and the measurement of a mix-up of conventions."""
+    given = {'body': motion().body, 'log': motion().log, 'sensor': noisy()}
+    return {**given, **MIXED_UP[name](motion())}.values()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', [
-    'start', 'clock_offset', 'torque_axes', 'torque_in_space', 'torque_in_body', 'gyro_mount',
-    'torque_gain', 'inertia'])
+@pytest.mark.parametrize('name', MIXED_UP)
 def test_a_mix_up_is_named(name):
-    sensor, body, log = mixed_up(name)
+    body, log, sensor = mixed_up(name)
     found = compare(body, motion().start, log, measured=sensor)
     assert not found.verdict.is_consistent
     assert found.verdict.suspects[0].name == name
@@ -540,7 +536,7 @@ def test_a_mix_up_is_named(name):
 @pytest.mark.slow
 @pytest.mark.parametrize('name', ['gyro_mount', 'torque_in_body'])
 def test_a_fit_names_the_same_mix_up_though_it_does_not_know_the_inertia(name):
-    sensor, _, log = mixed_up(name)
+    _, log, sensor = mixed_up(name)
     verdict = identify(GUESS, Experiment(motion().start, log, [sensor])).verdict
     assert (verdict.level, verdict.suspects[0].name) == ('rejected', name)
 
