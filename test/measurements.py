@@ -213,3 +213,15 @@ def write_scene(path, truth, **more):
              *(f'    {name}: {value}' for name, value in more.items())]
     path.write_text('\n'.join([*lines, '']))
     return path
+
+
+def table(path, heading, *columns, separator=','):
+    """Write a CSV file; a column is a list of texts, or an array of shape (n,) or (n, k)."""
+    texts = [[cell if isinstance(cell, str) else separator.join(map(repr, np.ravel(cell).tolist()))
+              for cell in column] for column in columns]
+    path.write_text('\n'.join([heading, *map(separator.join, zip(*texts))]))
+    return path
+
+
+def seconds(stamps):
+    return [f'{stamp // SECOND}.{stamp % SECOND:09}' for stamp in stamps.tolist()]

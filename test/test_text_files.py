@@ -15,10 +15,9 @@
 """Text files: torques and measurements whose first line names columns and units, and TUM files."""
 
 from conftest import EPOCH_NS, SECOND
-from field_data import seconds, table
 from hostile import outcome
 import measurements
-from measurements import torque_messages
+from measurements import seconds, table, torque_messages
 import numpy as np
 import pytest
 from rigid_body_ros import messages, recording
