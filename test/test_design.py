@@ -21,7 +21,6 @@ import numpy as np
 from pages import data_of
 import pytest
 from rigid_body_ros import (
-    EffortLog,
     identify,
     Measured,
     Problem,
@@ -120,11 +119,11 @@ def test_every_maneuver_starts_and_ends_at_rest():
 
 
 def test_wheels_turn_the_body_as_planned():
-    maneuvers = maneuvers_of(Problem(BODY, State(0), wheels=WHEELS), {
+    turning = State(0, angular_velocity=(0.1, 0.2, 0.0))  # but a maneuver starts at rest
+    maneuvers = maneuvers_of(Problem(BODY, turning, wheels=WHEELS), {
         'torque': np.full(3, 0.05), 'rate': np.array([1.0])})
     motion = maneuvers.motion(np.random.default_rng(0).uniform(*maneuvers.bounds.T))
-    flown = Problem(BODY, State(0), wheels=WHEELS, efforts=EffortLog(
-        maneuvers.times_ns[:-1], maneuvers.commands(motion)))
+    flown = maneuvers.flown(motion)
     # The momentum of the wheels after each sample is exact.
     assert np.abs(flown.propagate(at=maneuvers.times_ns).angular_velocity - motion).max() < 1e-4
 

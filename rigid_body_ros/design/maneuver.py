@@ -116,6 +116,11 @@ class Maneuvers:
         wave = [(0.0, 1.0), np.log(self.band), (0.0, 2.0 * np.pi)]
         return np.array([(-1.0, 1.0)] * 3 if self.is_free else 3 * _WAVES * wave + 3 * [_SHAPES])
 
+    @cached_property
+    def _initial_momentum(self) -> Floats:
+        at_rest = self.flown(np.zeros((1, 3)))
+        return at_rest.propagate(at=self.times_ns[:1]).angular_momentum_space
+
     def motion(self, numbers: Floats) -> Floats:
         """Return the motion of a maneuver, scaled to the limits, but only nearly within them."""
         if self.is_free:
@@ -186,8 +191,7 @@ class Maneuvers:
             return np.asarray(so3.rotate(so3.conjugate(between), np.diff(momenta, axis=0) / step)
                               - others)
         impulses = np.vstack([np.zeros(3), step * so3.rotate(between, others)])
-        whole = problem.propagate(at=self.times_ns[:1]).angular_momentum_space \
-            + np.cumsum(impulses, axis=0)
+        whole = self._initial_momentum + np.cumsum(impulses, axis=0)
         momenta = so3.rotate(so3.conjugate(attitude), whole) \
             - motion @ wheels.carrier(problem.body).inertia
         axes = wheels.torque(np.eye(len(wheels)))
@@ -197,7 +201,7 @@ class Maneuvers:
         """Return the vehicle with the torques, and the initial angular velocity, of a motion."""
         problem = self.problem.replaced(start=replace(self.problem.start,
                                                       angular_velocity=motion[0]))
-        if self.is_free:
+        if len(motion) == 1:
             return problem
         commands = np.vstack([self.commands(motion), 0.0 * self.limits[TORQUE]])
         return problem.replaced(efforts=EffortLog(self.times_ns, commands)) \

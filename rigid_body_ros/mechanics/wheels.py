@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, reduce
+from functools import cached_property, lru_cache, reduce
 import math
 from typing import NamedTuple
 
@@ -195,6 +195,8 @@ class Wheels:
         """Append zeros to rows of one number per wheel, up to a multiple of four numbers."""
         return np.ascontiguousarray(np.pad(rows, [(0, 0), (0, -len(self) % 4)]))
 
+    # The exact sums take milliseconds, and one motion after another has the same carrier.
+    @lru_cache(maxsize=16)  # noqa: B019
     def carrier(self, body: RigidBody) -> RigidBody:
         """
         Return the carrier, which is the body without the axial inertia of the wheels.

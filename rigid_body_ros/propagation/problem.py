@@ -137,11 +137,12 @@ class Problem(MotionInputs):
         """
         if not self.named_wheels:
             return self
-        wheels, changes = self.named_wheels.wheels, self.changes
-        if found := ', '.join(wheel.name for wheel in wheels if wheel.friction):
+        wheels, changes = self.named_wheels, self.changes
+        if found := ', '.join(wheel.name for wheel in wheels.wheels if wheel.friction):
             raise ValueError('wheels: expected none with friction, which only a propagation '
                              f'computes, found {found}')
-        unlimited = Wheels([replace(wheel, max_speed=0.0) for wheel in wheels])
+        unlimited = wheels if not wheels.is_limited else Wheels(
+            [replace(wheel, max_speed=0.0) for wheel in wheels.wheels])
         start, _ = unlimited.begun(self.start)
         carrier = unlimited.carrier
         end_ns = int(self.efforts.times_ns.max(initial=self.start.time_ns)) if self.efforts \
