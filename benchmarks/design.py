@@ -90,7 +90,10 @@ def flown(name, problem, expected, seed):
     if efforts or problem.logs:
         log = -efforts.efforts if efforts else problem.logs[0].torques
         torques[0, :len(log)] = log
-    off = 0.02 * random[0].standard_normal((2, 1, 3)) * (not vehicle.wheel)
+    # The flight begins within a few percent of the limits from the planned start.
+    limits = [vehicle.limits.get('angle', [1.0]), vehicle.limits['rate']]
+    off = 0.02 * np.array(limits)[:, None] * random[0].standard_normal((2, 1, 3)) * (
+        not vehicle.wheel)
     start = simulated.exponential(off[0]), problem.start.angular_velocity + off[1]
     attitudes, rates = simulated.integrated(kind, simulated.acting(kind, torques, random), start,
                                             bool(vehicle.wheel))
