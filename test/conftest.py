@@ -60,7 +60,7 @@ NEEDS = {
         if re.search('^pytestmark.*mark.ros', path.read_text(encoding='utf-8'), re.MULTILINE))],
     'mpmath': ['actuators', 'arm', 'changes', 'elementary', 'examples', 'extremes',
                'fields', 'free_motion', 'laws', 'peers', 'reference', 'sensitivity',
-               'sources', 'steppers', 'terms', 'tradeoff', 'truth', 'validation',
+               'sources', 'steppers', 'taylor', 'tradeoff', 'truth', 'validation',
                'wheels'],  # not known to rosdep
 }
 ABSENT = {module: [f'test_{name}.py' for name in names] for module, names in NEEDS.items()
