@@ -148,6 +148,8 @@ def test_a_reset_of_a_running_loop_takes_time_back(tmp_path, domain, start_ns):
             live.wait_until(lambda: len(live.received[COMMITTED]) > 100, 'committed states')
             live.spin(1.0)
         run = finished(tmp_path, live)
+    markers = {*live.received[ACCEPTED]} - {*live.torques}
+    assert markers == {messages.epoch_marker(run.problem.start)}  # the same start each time
     stamps = run.accepted.stamps_ns
     begins = np.flatnonzero(np.diff(stamps, prepend=2 ** 62) <= 0)
     runs = [part.tolist() for part in np.split(stamps, begins[1:])]

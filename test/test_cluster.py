@@ -36,12 +36,6 @@ LOCAL = ['--host', '127.0.0.1', '--dashboard-address', '127.0.0.1:0', '--no-dash
 
 
 @pytest.fixture(scope='module')
-def scheduler(started_cluster):
-    """Return the file of a scheduler with two worker processes."""
-    return started_cluster[0]
-
-
-@pytest.fixture(scope='module')
 def started_cluster(tmp_path_factory):
     """Start a scheduler and two worker processes; return its file and their parent."""
     folder = tmp_path_factory.mktemp('dask')
@@ -54,6 +48,11 @@ def started_cluster(tmp_path_factory):
         for process in (first, second, *workers(second)):
             assert listening(process) == {'127.0.0.1'}
         yield file, second
+
+
+@pytest.fixture
+def scheduler(started_cluster):
+    return started_cluster[0]
 
 
 @contextmanager
@@ -155,10 +154,17 @@ def test_a_worker_is_no_scheduler(inputs, scheduler, capsys):
 
 @pytest.mark.slow
 def test_a_worker_without_the_package_survives(inputs, capsys, tmp_path):
-    with cluster_without_package(tmp_path) as (file, process):
+    file = tmp_path / 'scheduler.json'
+    script = ("import sys; sys.modules['rigid_body_ros'] = None; "
+              'from distributed.cli.dask_{} import main; main()')
+    with started(tmp_path, 'scheduler', '--port', '0', '--scheduler-file', file, script=script), \
+            started(tmp_path, 'worker', '--scheduler-file', file, '--nthreads', '1', '--no-nanny',
+                    '--local-directory', tmp_path, script=script) as worker:
+        wait_for(file.exists)
+        wait_for(lambda: listening(worker))
         assert 'a worker cannot import what it needs of rigid_body_ros' \
             in error_of(capsys, inputs, file)
-        assert process.is_running()
+        assert worker.is_running()
 
 
 @pytest.mark.nightly
@@ -177,20 +183,6 @@ def test_workers_may_join_later(inputs, tmp_path):
     assert process.returncode == 0
 
 
-@contextmanager
-def cluster_without_package(folder):
-    """Start a scheduler and a worker that cannot import the package; yield file and worker."""
-    file = folder / 'scheduler.json'
-    script = ("import sys; sys.modules['rigid_body_ros'] = None; "
-              'from distributed.cli.dask_{} import main; main()')
-    with started(folder, 'scheduler', '--port', '0', '--scheduler-file', file, script=script), \
-            started(folder, 'worker', '--scheduler-file', file, '--nthreads', '1', '--no-nanny',
-                    '--local-directory', folder, script=script) as worker:
-        wait_for(file.exists)
-        wait_for(lambda: listening(worker))
-        yield file, worker
-
-
 @pytest.mark.parametrize(('text', 'message'), [
     (None, 'cannot read the scheduler file (an address is HOST:PORT or tcp://HOST:PORT): No such '
      'file or directory'),
@@ -205,12 +197,6 @@ def test_bad_files(inputs, capsys, text, message):
 
 
 @pytest.mark.slow
-def test_an_impossible_address(inputs, capsys):
-    assert "pigeon: cannot connect to a Dask scheduler: unknown address scheme 'carrier'" \
-        in error_of(capsys, inputs, 'carrier://pigeon')
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize('listens', [False, True])
 def test_nothing_replies_at_an_address(inputs, capsys, monkeypatch, listens):
     monkeypatch.setattr(cluster, '_PATIENCE', 0.2)
@@ -220,6 +206,8 @@ def test_nothing_replies_at_an_address(inputs, capsys, monkeypatch, listens):
             silent.close()
         assert f'{address}: expected a Dask scheduler, found no reply within 0.2 s' \
             in error_of(capsys, inputs, address)
+    assert "pigeon: cannot connect to a Dask scheduler: unknown address scheme 'carrier'" \
+        in error_of(capsys, inputs, 'carrier://pigeon')
 
 
 def error_of(capsys, inputs, scheduler):

@@ -20,7 +20,7 @@ import subprocess
 
 from conftest import program, SECOND
 from diagnostic_msgs.msg import DiagnosticStatus
-from live import decoded, EVERYTHING, finished, options, same_bits, Session, TUMBLER, tumbler
+from live import decoded, EVERYTHING, finished, options, Session, TUMBLER, tumbler
 from live_session import ATTITUDE, COMMITTED, LiveSession
 from nav_msgs.msg import Odometry
 import numpy as np
@@ -130,24 +130,6 @@ def test_the_response_to_each_torque_is_the_state_one_step_later(domain):
         at=at).attitude.tolist()
     assert [first, second] == [*zip(at, expected)]
     assert again == second
-
-
-def test_a_reset_begins_the_same_run_again(tmp_path, domain):
-    with Session(TUMBLER, domain, *LOCKSTEP, *options(
-            'history:=0.1 max_future:=0.01')) as live:
-        runs = []
-        for _ in range(2):
-            runs.append([ask(live, 3 * SECOND + k * STEP_NS, [0.01, 1e-3 * k, 0.0])
-                         for k in range(20)])
-            live.dump_parameters(tmp_path / 'live.yaml')
-            assert live.reset().success
-            live.received[ATTITUDE].clear()
-        assert runs[0] == runs[1]
-        live.stop()
-        run = same_bits(tmp_path, live)
-    assert len(run.stamps_ns) == 20  # the start, and the stamps after it, of the second run
-    assert len(live.torques) == 2 * 20
-    assert len(live.received[COMMITTED]) == 2 * 20
 
 
 def test_a_pause_delays_the_responses_and_changes_no_bit(tmp_path, domain):
