@@ -163,15 +163,6 @@ def stamps_of(live, topic):
     return [message.stamp_ns for message in decoded(live, topic)]
 
 
-class LateTorque(NamedTuple):
-    """A torque, and the time at which to publish it, ns."""
-
-    due_ns: int
-    stamp_ns: int
-    frame_id: str
-    torque: np.ndarray
-
-
 def late(random, start_ns, count, rate):
     """Generate times to publish at, and stamps; half are late by up to half a second."""
     for number in range(count):
@@ -180,18 +171,23 @@ def late(random, start_ns, count, rate):
 
 
 def late_torques(start_ns, count, rate):
-    """Return torques in the order of publication; half of them are late by up to half a second."""
+    """Return when to publish torques, their stamps, frames and values, in this order."""
     random = np.random.default_rng(17)
-    return sorted(LateTorque(
-        *times_ns, ('', 'base_link', 'world')[random.integers(3)],
-        random.normal(size=3) * 0.02 * (random.random() > 0.3))
-        for times_ns in late(random, start_ns, count, rate))
+    return in_order((*times_ns, ('', 'base_link', 'world')[random.integers(3)],
+                     random.normal(size=3) * 0.02 * (random.random() > 0.3))
+                    for times_ns in late(random, start_ns, count, rate))
 
 
-def publish_when_due(live, torques):
-    for due_ns, *torque in torques:
+def in_order(rows):
+    """Sort rows that begin with a time."""
+    return sorted(rows, key=lambda row: row[0])
+
+
+def publish_when_due(live, rows, publish):
+    """Call a function with the rest of each row, at the time that the row begins with."""
+    for due_ns, *row in rows:
         live.spin((due_ns - live.now_ns()) * 1e-9)
-        live.publish(*torque)
+        publish(*row)
 
 
 class Run(NamedTuple):
@@ -271,13 +267,14 @@ def commit(live, count):
 def check_late(tmp_path, live, count, rate):
     """Send torques late and out of order; check that their replay has the bits of the states."""
     torques = late_torques(live.now_ns(), count, rate)
-    publish_when_due(live, torques)
+    publish_when_due(live, torques, live.publish)
     live.wait_until(lambda: len(live.torques) == count, 'all torques')
-    stamps = np.unique([torque.stamp_ns for torque in torques])
+    stamps_ns = [stamp_ns for _, stamp_ns, *_ in torques]
+    stamps = np.unique(stamps_ns)
     commit(live, 1 + len(stamps))
     run = finished(tmp_path, live)
     *accepted, _ = run.accepted.stamps_ns
-    assert sorted(accepted) == sorted(torque.stamp_ns for torque in torques)
+    assert sorted(accepted) == sorted(stamps_ns)
     assert np.any(np.diff(accepted) < 0)  # they did come out of order
     np.testing.assert_array_equal(run.stamps_ns[1:1 + len(stamps)], stamps)
     # The start state comes first, at the time in the dumped parameters.

@@ -16,10 +16,8 @@
 
 import numpy as np
 import pytest
-from rigid_body_ros import messages, recording, State
+from rigid_body_ros import messages, State
 from rigid_body_ros.messages import TYPES
-from rigid_body_ros.recording import Column
-from rigid_body_ros.scene import InputError
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -70,7 +68,8 @@ def test_we_read_what_others_encode(kind, little_endian):
     np.testing.assert_array_equal(decoded.values, values(kind))
 
 
-@pytest.mark.parametrize('kind', KINDS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize('kind', [*KINDS, messages.joint_commands(['a'])],
+                         ids=lambda kind: kind.name)
 def test_definitions_are_those_of_ros(kind):
     ours = get_types_from_msg(kind.definition, kind.name)
     for name, (_, fields) in ours.items():
@@ -225,30 +224,3 @@ def test_states_have_velocities_and_efforts(names, frame):
         assert (found.header.frame_id, found.name, found.position.size) == (frame, [*names], 0)
         np.testing.assert_array_equal(found.velocity, speeds[k])
         np.testing.assert_array_equal(found.effort, efforts[k])
-
-
-@pytest.mark.parametrize('kind', [COMMANDS, messages.joint_states(WHEELS)])
-def test_the_definition_is_that_of_ros(kind):
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(kind.definition, kind.name))
-    assert store.hash_rihs01(kind.name) == STORE.hash_rihs01(kind.name) == kind.type_hash
-
-
-def test_a_recording_has_commands_and_states(tmp_path):
-    path, states = tmp_path / 'wheels.mcap', messages.joint_states(WHEELS)
-    commands = [[1.0, np.nan, 3.0], [np.nan, 2.0, np.nan]]
-    with recording.Writer(path) as writer:
-        writer.add_topic('/wheel_command', COMMANDS)
-        writer.add_topic('/wheel_states', states)
-        for stamp_ns, efforts in enumerate(commands):
-            writer.write('/wheel_command', stamp_ns, COMMANDS.encode(stamp_ns, '', efforts))
-        writer.write_columns(np.arange(4), [Column('/wheel_states', 'base_link', (
-            messages.joint_values(np.eye(4, 3), np.ones((4, 3)))))])
-    found = recording.read(path, '/wheel_command', COMMANDS)
-    np.testing.assert_array_equal(found.values, commands)
-    assert found.stamps_ns.tolist() == [0, 1]
-    written = recording.read(path, '/wheel_states', states).values
-    np.testing.assert_array_equal(written[:, :3], np.eye(4, 3))
-    np.testing.assert_array_equal(written[:, 4:], np.ones((4, 3)))
-    with pytest.raises(InputError, match="message 1: name: .*'other', found 'rw_x'"):
-        recording.read(path, '/wheel_command', messages.joint_commands(['other']))

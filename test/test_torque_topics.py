@@ -18,7 +18,19 @@ import re
 
 from conftest import SECOND
 from geometry_msgs.msg import Twist, Vector3Stamped, Wrench, WrenchStamped
-from live import commit, decoded, finished, late, options, PATIENT, Session, stamps_of, TUMBLER
+from live import (
+    commit,
+    decoded,
+    finished,
+    in_order,
+    late,
+    options,
+    PATIENT,
+    publish_when_due,
+    Session,
+    stamps_of,
+    TUMBLER,
+)
 from live_session import ACCEPTED, ATTITUDE, RELIABLE
 import numpy as np
 import pytest
@@ -134,7 +146,7 @@ def plan(live, random):
                                                0.3 * random.normal(size=(6, 3)))
             rows.append((stamp_ns + int(random.integers(0, SECOND // 2)), INERTIA, stamp_ns,
                          body.entries, ''))
-    return sorted(rows, key=lambda row: row[0])
+    return in_order(rows)
 
 
 @pytest.mark.parametrize('arguments', [
@@ -143,9 +155,7 @@ def plan(live, random):
 def test_live_is_replay_bit_for_bit_in_any_order_of_arrival(tmp_path, domain, arguments):
     with Sources(tmp_path, TUMBLER, domain, *SOURCES, *PATIENT, *arguments) as live:
         rows = plan(live, np.random.default_rng(29))
-        for due_ns, *row in rows:
-            live.spin((due_ns - live.now_ns()) * 1e-9)
-            live.publish_on(*row)
+        publish_when_due(live, rows, live.publish_on)
         live.wait_until(lambda: sum(len(live.accepted(topic)) for topic in live.topics)
                         == len(rows), 'all messages')
         stamps = np.unique([stamp_ns for _, _, stamp_ns, *_ in rows])

@@ -46,6 +46,7 @@ ACTUATOR = options('actuator.topics:=[torque] actuator.delay:=0.011 '
                    'actuator.time_constant:=0.03 actuator.limit.x:=0.002')
 LOCKSTEP = options('mode:=lockstep')
 STEP_NS = SECOND // 50
+STAMPS = SECOND + STEP_NS * np.arange(300)
 NAN = np.nan
 
 
@@ -256,22 +257,33 @@ def test_a_jump_of_the_clock_keeps_speeds_and_efforts(tmp_path, domain):
         run.problem.propagate(at=[max(found)]).wheel_speeds[0], found[max(found)][0])
 
 
-def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path):
-    path, out, run = tmp_path / 'commands.mcap', tmp_path / 'motion.mcap', scene.load(SCENE)
-    random = np.random.default_rng(5)
-    efforts = np.where(random.random((50, 4)) < 0.5, 0.003 * random.normal(size=(50, 4)), NAN)
+@pytest.fixture
+def flight(tmp_path):
+    """Return a recording with commands of wheels, in any order, and with the measured motion."""
+    path, run, random = tmp_path / 'flight.mcap', scene.load(SCENE), np.random.default_rng(5)
+    efforts = 0.003 * random.normal(size=(300, 4))
+    efforts[random.random((300, 4)) < 0.3] = NAN
     efforts[:, 2] = 0.001
-    stamps = SECOND + STEP_NS * np.arange(50)
+    motion = run.problem(replace(run.start, time_ns=SECOND)).replaced(
+        efforts=EffortLog(STAMPS, efforts)).propagate(at=STAMPS)
     with recording.Writer(path) as writer:
         writer.add_topic('/wheel_command', COMMANDS)
-        for row in random.permutation(50):
-            writer.write('/wheel_command', int(stamps[row]),
-                         COMMANDS.encode(int(stamps[row]), '', efforts[row]))
-    result = replay(path, run, out)
+        writer.add_topic('/measured', messages.ODOMETRY)
+        for row in random.permutation(300):
+            stamp_ns = int(STAMPS[row])
+            state = State(stamp_ns, motion.attitude[row], motion.angular_velocity[row])
+            writer.write('/wheel_command', stamp_ns, COMMANDS.encode(stamp_ns, '', efforts[row]))
+            writer.write('/measured', stamp_ns, messages.odometry(state, 'world', 'base_link'))
+    return path
+
+
+def test_what_a_recording_has_is_replayed_and_its_wheels_written(tmp_path, flight):
+    out, run = tmp_path / 'motion.mcap', scene.load(SCENE)
+    result = replay(flight, run, out)
     assert result.wheel_source == 'efforts on /wheel_command'
-    motion = read(path, run).propagate(at=stamps)
+    motion = read(flight, run).propagate(at=STAMPS)
     written = recording.read(out, '/wheel_states', STATES)
-    np.testing.assert_array_equal(written.stamps_ns, stamps)
+    np.testing.assert_array_equal(written.stamps_ns, STAMPS)
     np.testing.assert_array_equal(written.values[:, :4], motion.wheel_speeds)
     np.testing.assert_array_equal(written.values[:, 5:], motion.wheel_efforts)
     attitude = recording.read(out, '/attitude', messages.QUATERNION)
@@ -327,25 +339,6 @@ def test_a_replay_reports_what_exceeds_the_limits_of_wheels(limited):
     assert f'warning       {result.warnings[0]}' in result.text()
 
 
-@pytest.fixture
-def flight(tmp_path):
-    """Return a recording with commands of wheels and with measurements of the motion."""
-    path, run = tmp_path / 'flight.mcap', scene.load(SCENE)
-    random, stamps = np.random.default_rng(3), SECOND + STEP_NS * np.arange(300)
-    log = EffortLog(stamps, 0.003 * random.normal(size=(300, 4)))
-    motion = run.problem(replace(run.start, time_ns=SECOND)).replaced(efforts=log).propagate(
-        at=stamps)
-    with recording.Writer(path) as writer:
-        writer.add_topic('/wheel_command', COMMANDS)
-        writer.add_topic('/measured', messages.ODOMETRY)
-        for stamp_ns, efforts, *state in zip(stamps.tolist(), log.efforts, motion.attitude,
-                                             motion.angular_velocity):
-            writer.write('/wheel_command', stamp_ns, COMMANDS.encode(stamp_ns, '', efforts))
-            writer.write('/measured', stamp_ns,
-                         messages.odometry(State(stamp_ns, *state), 'world', 'base_link'))
-    return path
-
-
 @pytest.mark.slow
 def test_compare_and_identify_know_the_wheels(tmp_path, flight, capsys):
     arguments = [str(flight), '--scene', str(SCENE)]
@@ -385,7 +378,7 @@ def test_an_ensemble_knows_the_commands_of_wheels(tmp_path, flight, monkeypatch)
         log = EffortLog(given.efforts.times_ns + round(row['clock_offset'] * SECOND),
                         given.efforts.efforts)
         motion = given.replaced(body=given.body.with_entries(entries), efforts=log).propagate(
-            at=[SECOND + 299 * STEP_NS])
+            at=STAMPS[-1:])
         assert [row[f'attitude.{axis}'] for axis in 'xyzw'] == motion.attitude[0].tolist()
 
 
