@@ -53,6 +53,15 @@ def python(script, *arguments, **options):
                           capture_output=True, check=False, **options)
 
 
+def output(*command, **options):
+    """Return what a command prints; no package outside of this environment is found."""
+    environment = {**os.environ, 'AMENT_PREFIX_PATH': sys.prefix, 'PYTHONPATH': ''}
+    result = subprocess.run(command, text=True, env=environment, check=False, capture_output=True,
+                            **options)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
 def shared_files():
     """Return the files that the package installs in its share folder."""
     return {str(path.relative_to(ROOT)) for folder in ('config', 'launch')
@@ -77,34 +86,24 @@ def built(folder, *options):
     """Build the files of this checkout in a workspace, and return its folder."""
     source = folder / 'src' / NAME
     source.mkdir(parents=True)
-    listed = subprocess.run(['git', 'ls-files', '--cached', '--others', '--exclude-standard'],
-                            cwd=ROOT, check=True, capture_output=True, text=True)
-    files = [name for name in listed.stdout.splitlines() if (ROOT / name).exists()]
+    listed = output('git', 'ls-files', '--cached', '--others', '--exclude-standard', cwd=ROOT)
+    files = [name for name in listed.splitlines() if (ROOT / name).exists()]
     if (ROOT / 'build' / 'kernels').exists():  # generating the kernels takes a minute
         files.append('build/kernels')
-    subprocess.run(['cp', '-r', '--parents', '-t', source, *files], cwd=ROOT, check=True)
+    output('cp', '-r', '--parents', '-t', source, *files, cwd=ROOT)
     colcon(folder, 'build', *options)
     return folder
 
 
 def colcon(folder, *arguments):
-    # No other package on this machine must be found.
-    environment = {**os.environ, 'AMENT_PREFIX_PATH': sys.prefix, 'PYTHONPATH': '',
-                   'COLCON_HOME': str(folder)}
-    result = subprocess.run([sys.executable, '-m', 'colcon', *arguments], cwd=folder, text=True,
-                            env=environment, check=False, capture_output=True)
-    assert result.returncode == 0, result.stdout + result.stderr
-    return result.stdout
+    return output('env', f'COLCON_HOME={folder}', sys.executable, '-m', 'colcon', *arguments,
+                  cwd=folder)
 
 
 def sourced(folder, command, cwd):
     """Return the output of a command in a shell that has sourced the workspace."""
-    result = subprocess.run(
-        ['bash', '-c', f'. {shlex.quote(str(folder))}/install/setup.bash && {command}'], cwd=cwd,
-        env={**os.environ, 'AMENT_PREFIX_PATH': sys.prefix, 'PYTHONPATH': ''}, check=False,
-        capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    return result.stdout
+    setup = shlex.quote(str(folder / 'install' / 'setup.bash'))
+    return output('bash', '-c', f'. {setup} && {command}', cwd=cwd)
 
 
 @pytest.fixture(scope='module')
@@ -299,8 +298,7 @@ def test_every_source_file_begins_with_the_license():
     _, notice = (ROOT / 'LICENSE').read_text().split('[name of copyright owner]\n')
     lines = ['Copyright 2026 The rigid_body_ros developers', *textwrap.dedent(notice).splitlines()]
     header = ''.join(f'# {line}'.rstrip() + '\n' for line in lines) + '\n'
-    listed = subprocess.run(['git', 'ls-files', '*.py'], cwd=ROOT, check=True,
-                            capture_output=True, text=True).stdout.splitlines()
+    listed = output('git', 'ls-files', '*.py', cwd=ROOT).splitlines()
     assert len(listed) > 100
     for name in listed:
         assert (ROOT / name).read_text().startswith(header), name
