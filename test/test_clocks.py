@@ -34,7 +34,7 @@ SIMULATED = (*RELIABLE, *options('use_sim_time:=true publish_rate:=2000.0'))
 def settle(live, now_ns):
     """Publish a time until the node has published a state at this time."""
     live.hold_clock(now_ns, lambda: stamps_of(live, ATTITUDE)[-1:] == [now_ns],
-               'an attitude at the time of the clock')
+                    'an attitude at the time of the clock')
 
 
 def wobble(now_ns):

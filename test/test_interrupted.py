@@ -30,7 +30,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 import numpy as np
 import pytest
-from replay import recorded
+from replay import record
 
 pytestmark = pytest.mark.slow
 
@@ -55,9 +55,9 @@ class Whole(NamedTuple):
 @pytest.fixture(scope='module')
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp('whole')
-    arguments = [recorded(folder, MESSAGES / 3.6e6), '--scene', CONFIG / 'tumbler.yaml',
-                 '--overwrite', '-o']
-    output = folder / 'motion.mcap'
+    path, output = folder / 'torque.mcap', folder / 'motion.mcap'
+    record(path, MESSAGES)
+    arguments = [path, '--scene', CONFIG / 'tumbler.yaml', '--overwrite', '-o']
     process, reached = start([*arguments, output]), {}
     for stage in STAGES:
         wait_for(stage, process, folder)

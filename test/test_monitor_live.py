@@ -338,8 +338,7 @@ def test_restarts_of_the_sources_and_of_the_monitor_are_no_error_of_the_model(tm
         session.check_levels()
 
 
-def test_a_message_without_a_stamp_has_the_time_at_which_the_middleware_received_it(tmp_path,
-                                                                                     domain):
+def test_a_message_without_a_stamp_has_the_time_at_which_it_was_received(tmp_path, domain):
     stamps, times = [], []
     with Monitored(tmp_path, domain, use_sim_time=False) as session:
         inputs, gyro = session.tested._inputs, session.publishers['/gyro']

@@ -98,8 +98,8 @@ def draw(given, answer):
 def die(given, answer):
     given.header.stamp.nanosec < 500_000_000 or os._exit(3)
 on(WrenchStamped, {function}, '/momentum', {kind})
-{SPIN}""" for function, kind in (('draw', 'Vector3Stamped'), ('lambda *_: None', 'WrenchStamped'),
-                                ('die', 'Vector3Stamped')))
+{SPIN}""" for function, kind in (
+    ('draw', 'Vector3Stamped'), ('lambda *_: None', 'WrenchStamped'), ('die', 'Vector3Stamped')))
 #: A node that publishes without end.
 FLOOD = f"""{NODE}
 publisher = node.create_publisher(Vector3Stamped, '/momentum', 10)

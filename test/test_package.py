@@ -254,8 +254,8 @@ def test_without_ros_the_tests_of_the_node_are_left_out_and_the_report_says_so()
 @pytest.mark.parametrize('module', NEEDS)
 def test_without_an_optional_module_all_other_tests_are_collected(module):
     # zarr has a plugin: without the last two options, pytest would fail to import it.
-    result = python(without(module, 'import pytest; sys.exit(pytest.main([\'--collect-only\', '
-                            f"'--quiet', '--assert=plain', '-p', 'no:{module}']))"), cwd=ROOT)
+    result = python(without(module, 'import pytest; sys.exit(pytest.main(sys.argv[1:]))'),
+                    '--collect-only', '--quiet', '--assert=plain', '-p', f'no:{module}', cwd=ROOT)
     assert result.returncode == pytest.ExitCode.OK, result.stdout[-3000:]
 
 
