@@ -245,18 +245,6 @@ def test_a_file_may_grow_while_it_is_read(tmp_path, form, begun):
     assert begun or len(stamps) > len(ALONE.stamps_ns) // 2
 
 
-@pytest.mark.parametrize('text', [
-    '', '[]', '\0', '{', 'rosbag2_bagfile_information: 3',
-    'rosbag2_bagfile_information: {version: 99}',
-    '!!python/object/apply:os.abort []', 'a: &a [1, *a]'])
-def test_a_description_that_is_none_is_told(tmp_path, text):
-    bag = bags.rosbag2(tmp_path, SENT['alone'])
-    (bag / 'metadata.yaml').write_text(text)
-    told, rows = outcome(bag)
-    assert 'metadata.yaml' in told
-    assert rows in ([], ALONE.rows())
-
-
 @pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
 def test_compressed_messages_without_their_description_are_read_or_told(tmp_path, storage):
     path = bags.bare(tmp_path, SENT['alone'], storage=storage, compression='MESSAGE')

@@ -80,6 +80,9 @@ OUTSIDE = 'metadata.yaml: relative_file_paths: expected '
 
 @pytest.mark.parametrize(('about', 'expected'), [
     ({'duration': SPAN, 'other': [SPAN] * 99}, ''),  # Python writes aliases
+    *((text, REFUSED) for text in ('', '[]', '\0', '{', 'rosbag2_bagfile_information: 3',
+                                   '!!python/object/apply:os.abort []', 'a: &a [1, *a]')),
+    ('rosbag2_bagfile_information: {version: 99}', OUTSIDE),
     *((f'{LAUGHS}rosbag2_bagfile_information: {{{before}}}', REFUSED) for before in (
         'relative_file_paths: *i', 'compression_mode: *i', 'relative_file_paths: [*a, *a]')),
     ('a: &a [' + 'x,' * 1000 + ']\nb: [' + '*a,' * 1000 + ']', 'at most 100000 values'),
