@@ -172,8 +172,7 @@ def ours(folder, sent):
     return path
 
 
-def rosbag2(folder, sent, storage='MCAP', compression='NONE', version=9, name='bag',
-            cdr=Sent.cdr):
+def rosbag2(folder, sent, storage='MCAP', compression='NONE', version=9, name='bag'):
     """Write a directory with rosbags, which writes one time for each message."""
     writer = Rosbag2Writer(folder / name, version=version, storage_plugin=StoragePlugin[storage])
     writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
@@ -183,7 +182,7 @@ def rosbag2(folder, sent, storage='MCAP', compression='NONE', version=9, name='b
             if one.topic not in topics:
                 topics[one.topic] = writer.add_connection(
                     one.topic, one.kind, typestore=STORE, offered_qos_profiles=[QOS])
-            writer.write(topics[one.topic], one.stamp_ns + LOGGED, cdr(one))
+            writer.write(topics[one.topic], one.stamp_ns + LOGGED, one.cdr())
     return folder / name
 
 
@@ -272,10 +271,8 @@ FORMS = {
        for index in ('', '-unindexed')},
     'mcap-one-chunk': partial(mcap, chunk_size=2 ** 20),
     'mcap-idl': partial(mcap, encoding='ros2idl'),
-    'mcap-idl-unindexed': partial(mcap, encoding='ros2idl', **UNINDEXED),
     'mcap-big-endian': partial(mcap, cdr=big_endian),
     'mcap-dirty': partial(mcap, cdr=dirty),
-    'mcap-dirty-unindexed': partial(mcap, cdr=dirty, **UNINDEXED),
     'mcap-no-profile': partial(mcap, profile=''),
     'mcap-no-crc': partial(mcap, enable_crcs=False),
     'mcap-data-crc': partial(mcap, enable_data_crcs=True, use_chunking=False),
@@ -291,8 +288,6 @@ FORMS = {
            ('SQLITE3', 'NONE'), ('SQLITE3', 'MESSAGE'), ('SQLITE3', 'FILE')]},
     'rosbag2-mcap-v8': partial(rosbag2, version=8),
     'rosbag2-sqlite3-v8': partial(rosbag2, storage='SQLITE3', version=8),
-    'rosbag2-sqlite3-big-endian': partial(rosbag2, storage='SQLITE3', cdr=big_endian),
-    'rosbag2-sqlite3-dirty': partial(rosbag2, storage='SQLITE3', cdr=dirty),
     'split-mcap': partial(split, parts=12),  # bag_10 precedes bag_2 in alphabetical order only
     'split-mcap-storage': partial(split, compression='STORAGE'),
     'split-mcap-message': partial(split, compression='MESSAGE'),
