@@ -19,7 +19,6 @@ from pathlib import Path
 import re
 
 from conftest import SECOND
-from matplotlib.figure import Figure
 import numpy as np
 from pages import array, data_of
 import pytest
@@ -29,7 +28,6 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.recording.gaps import computing_time
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.check import drift
-from rigid_body_ros.report import picture
 
 MS = 10 ** 6
 STARTED = 1_700_000_000 * SECOND
@@ -196,19 +194,16 @@ def test_fields_alone_conserve_their_integrals(tmp_path, scene_with, lines, laws
 
 
 @pytest.mark.slow
-def test_pages_and_plots_show_the_torque_of_fields(tmp_path, scene_with, monkeypatch):
+def test_a_page_shows_the_torque_of_fields(tmp_path, scene_with):
     path, config = write(tmp_path / 'one.mcap', ['/control']), scene_with(*PIVOT, ORBIT, ROTORS)
-    drawn = []
-    monkeypatch.setattr(picture, 'Figure', lambda *given, **more: drawn.append(
-        figure := Figure(*given, **more)) or figure)
-    assert main.attitude_replay([path, '--scene', config, '--report', str(tmp_path / 'p.html'),
-                                 '--plot', str(tmp_path / 'p.png')]) == 0
+    page = tmp_path / 'page.html'
+    assert main.attitude_replay([path, '--scene', config, '--report', str(page)]) == 0
     motion = expected(config, [log('/control')])
     problem = scene.load(config).problem(State(STARTED))
     torque = sum(one.torque(problem.body, motion.times_ns, motion.attitude)
                  for one in problem.fields)
     assert np.ptp(torque) > 0.1
-    data = data_of((tmp_path / 'p.html').read_text(encoding='utf-8'))
+    data = data_of(page.read_text(encoding='utf-8'))
     panels = {panel['label']: panel for panel in data['panels']}
     shown, = panels['torque of the fields, body axes']['curves']
     np.testing.assert_allclose(array(shown['low'], '<f4').reshape(3, -1), torque.T, atol=1e-7)
@@ -216,10 +211,7 @@ def test_pages_and_plots_show_the_torque_of_fields(tmp_path, scene_with, monkeyp
     # The torque of the animated body includes everything that acts.
     np.testing.assert_allclose(array(data['body']['torque'], '<f4').reshape(-1, 3),
                                torque + values('/control'), atol=1e-7)
-    axes = next(axes for axes in drawn[0].axes
-                if axes.get_title('left').startswith('torque of the fields'))
-    np.testing.assert_allclose(axes.lines[1].get_ydata(), torque[:, 1], rtol=1e-9, atol=1e-12)
-    assert 'pivot.moment.z: -0.02' in (tmp_path / 'p.html').read_text(encoding='utf-8')
+    assert 'pivot.moment.z: -0.02' in page.read_text(encoding='utf-8')
 
 
 def test_a_check_of_fields_finds_a_motion_without_them(tmp_path, scene_with):

@@ -108,12 +108,7 @@ def test_every_solver_is_measured_on_a_scene_with_fields(fields, rotors):
     assert max(best['auto'], best['taylor']) < 1e-13
     assert best['rk4'] < 1e-10
     assert max(best.values()) < 0.2
-    motion = result.stretch.run(solver='taylor')
-    energy = motion.kinetic_energy + sum(one.potential_energy(
-        FREE.body, motion.times_ns, motion.attitude) for one in result.stretch.problem.fields)
-    assert np.ptp(motion.kinetic_energy) > 1e-3  # the torques do act
-    if fields == (PIVOT,):
-        assert np.ptp(energy) < 1e-13
+    assert np.ptp(result.stretch.run(solver='taylor').kinetic_energy) > 1e-3  # the torques act
     text = result.text()
     assert 'under fields, without logged torque' in text
     assert 'in principal axes' not in text
