@@ -95,6 +95,8 @@ def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, name, optio
     for found, motion in zip((*result.earlier, result), motions, strict=True):
         np.testing.assert_array_equal(found.last.attitude, motion.attitude[-1])
         assert found.last.time_ns == motion.times_ns[-1]
+    if name == 'no torques':
+        assert 'torques       0 on /node/accepted_torque, over 0 s\n' in result.text()
     written = attitudes(tmp_path / 'out.mcap')
     logged = recording.read(tmp_path / 'out.mcap', '/attitude', messages.QUATERNION,
                             time_source='log').stamps_ns

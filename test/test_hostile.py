@@ -253,50 +253,41 @@ def test_what_is_dense_is_unpacked_whole(size, content, says_its_size):
 
 
 @pytest.fixture
-def temporary(tmp_path, monkeypatch):
-    """Yield an empty folder for temporary files, and check that it is empty in the end."""
-    folder = tmp_path / 'temporary'
+def packed(tmp_path, monkeypatch):
+    """Return a compressed file of 64 MB; the folder for temporary files is empty in the end."""
+    path, folder = tmp_path / 'a.mcap.zstd', tmp_path / 'temporary'
+    path.write_bytes(zeros(2 ** 26))
     folder.mkdir()
     monkeypatch.setattr(tempfile, 'tempdir', str(folder))
-    yield folder
+    yield path
     assert not list(folder.iterdir())
 
 
-def test_a_compressed_file_may_not_be_many_times_larger(tmp_path, temporary, monkeypatch):
+def test_a_compressed_file_may_not_be_many_times_larger(packed, monkeypatch):
     monkeypatch.setattr(unpack, 'LARGEST', 2 ** 24)
-    path = tmp_path / 'a.mcap.zstd'
-    path.write_bytes(zeros(2 ** 26))
-    assert 'a.mcap.zstd: expected at most 16777216 bytes after decompression' in outcome(path)
+    assert 'a.mcap.zstd: expected at most 16777216 bytes after decompression' in outcome(packed)
 
 
-def test_a_compressed_file_may_not_fill_the_temporary_folder(tmp_path, temporary, monkeypatch):
-    path = tmp_path / 'a.mcap.zstd'
-    path.write_bytes(zeros(2 ** 26))
-    usage = shutil.disk_usage(tmp_path)
+def test_a_compressed_file_may_not_fill_the_temporary_folder(packed, monkeypatch):
+    usage = shutil.disk_usage(packed.parent)
     left = iter(range(2 ** 24, 0, -2 ** 20))
     monkeypatch.setattr(shutil, 'disk_usage', lambda folder: usage._replace(free=next(left)))
-    found = outcome(path)
-    assert f'a.mcap.zstd: expected space for a copy in {temporary}, ' in found
+    found = outcome(packed)
+    assert f'a.mcap.zstd: expected space for a copy in {tempfile.tempdir}, ' in found
     assert found.endswith('set TMPDIR to another folder')
 
 
-def test_a_full_temporary_folder_is_named(tmp_path, temporary):
-    path = tmp_path / 'a.mcap.zstd'
-    path.write_bytes(zeros(2 ** 24))
+def test_a_temporary_folder_that_is_full_or_cannot_be_made_is_named(packed, monkeypatch):
     with files_up_to(2 ** 20):
-        assert f'a.mcap.zstd: cannot write a copy to {temporary}: File too large' in outcome(path)
+        assert (f'a.mcap.zstd: cannot write a copy to {tempfile.tempdir}: File too large'
+                in outcome(packed))
+    monkeypatch.setattr(tempfile, 'tempdir', str(packed.with_name('none')))
+    assert 'cannot create a temporary folder: No such file' in outcome(packed)
 
 
-def test_a_temporary_folder_that_cannot_be_made_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path / 'none'))
-    path = tmp_path / 'a.mcap.zstd'
-    path.touch()
-    assert 'cannot create a temporary folder: No such file' in outcome(path)
-
-
-def test_several_frames_are_one_file(tmp_path, temporary):
+def test_several_frames_are_one_file(packed):
     data = (RECORDINGS / 'tumbler.mcap').read_bytes()
-    path = tmp_path / 'a.mcap.zst'
+    path = packed.with_name('a.mcap.zst')
     path.write_bytes(b''.join(zstandard.ZstdCompressor().compress(data[start:start + 50_000])
                               for start in range(0, len(data), 50_000)))
     assert outcome(path) == ''
