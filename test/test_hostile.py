@@ -409,8 +409,6 @@ COPY = 'ALTER TABLE {0} RENAME TO old_{0}'
     (COPY.format('topics'), 'CREATE VIEW topics AS SELECT * FROM old_topics'),
     (COPY.format('messages'), f'CREATE VIEW messages AS {ENDLESS} k AS id, 1 AS topic_id, '
                               '1 AS timestamp, zeroblob(1000000000) AS data FROM n'),
-    (COPY.format('topics'), f"CREATE VIEW topics AS {ENDLESS} k AS id, '/t' || k AS name, "
-                            "'a' AS type, 'cdr' AS serialization_format FROM n"),
     (COPY.format('messages'), 'CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, '
      'timestamp INTEGER, data BLOB AS (zeroblob(1000000000)))',
      'INSERT INTO messages (topic_id, timestamp) SELECT topic_id, timestamp FROM old_messages'),
