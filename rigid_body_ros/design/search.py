@@ -32,7 +32,7 @@ from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, 
 from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel, RATES, TORQUES
 from rigid_body_ros.report.report import Report, table
-from rigid_body_ros.report.text import lines, numbers
+from rigid_body_ros.report.text import aligned, lines, numbers
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
@@ -182,11 +182,8 @@ class Design:
 
     def text(self) -> str:
         """Return the facts, and a table of the expected intervals."""
-        table = self.table()
-        widths = [max(map(len, column)) + 2 for column in zip(*table)]
-        return lines([*(f'{name:17}{text}' for name, text in self.rows()), *(
-            f'{row[0]:{widths[0]}}' + ''.join(map(str.rjust, row[1:], widths[1:]))
-            for row in table)])
+        return lines([*(f'{name:17}{text}' for name, text in self.rows()),
+                      *aligned(self.table())])
 
     def table(self) -> list[list[str]]:
         """Return a table of the half-widths of the expected intervals, with a header."""

@@ -47,7 +47,7 @@ from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel, SIGNED
 from rigid_body_ros.report.panels import Drawn, in_degrees, quantity_panels, torque_panels
 from rigid_body_ros.report.report import matrix, Report, table
-from rigid_body_ros.report.text import lines, rounded, scaled
+from rigid_body_ros.report.text import aligned, lines, rounded, scaled
 from rigid_body_ros.runtime.limits import read_json
 
 #: The text lists at most `_PAIRS` pairs of estimates whose correlation exceeds `_CORRELATED`.
@@ -323,7 +323,7 @@ class Identification:
         """Return the verdict, a table of the estimates, and one line for each other fact."""
         verdict, facts = ([f'{name:17}{text}' for name, text in rows]
                           for rows in (self.verdict.rows(has_estimates=True), self.rows(degrees)))
-        return lines([*verdict, *_aligned(self.table(degrees)), *facts])
+        return lines([*verdict, *aligned(self.table(degrees)), *facts])
 
     __str__ = text
 
@@ -372,15 +372,6 @@ class Identification:
         state = 'converged' if self.converged else 'did not converge'
         yield 'fit', f'{state} after {self.evaluations} evaluations, in windows of ' \
                      f'{self.window_s:.4g} s'
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Generate the rows of a table as lines of text with aligned columns."""
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    for row in rows:
-        name, *middle = (f'{cell:>{width}}' if column else f'{cell:{width}}'
-                         for column, (cell, width) in enumerate(zip(row[:-1], widths)))
-        yield '  '.join([name, *middle, row[-1]])
 
 
 def _cells(estimate: Estimate, degrees: bool) -> list[str]:

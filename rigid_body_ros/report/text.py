@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 import math
 
 from rigid_body_ros.common.arrays import Floats
@@ -63,6 +63,15 @@ def euler_names(sequence: str) -> tuple[str, ...]:
     """Return the names of the three Euler angles of a sequence."""
     return ('φ', 'θ', 'ψ') if sequence == 'ZXZ' else \
         tuple(f'{axis}{number}' for number, axis in enumerate(sequence, 1))
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Generate the rows of a table as lines: names, columns aligned at the right, and units."""
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    for row in rows:
+        name, *middle = (f'{cell:>{width}}' if column else f'{cell:{width}}'
+                         for column, (cell, width) in enumerate(zip(row[:-1], widths)))
+        yield '  '.join([name, *middle, row[-1]])
 
 
 def lines(texts: Iterable[str]) -> str:
