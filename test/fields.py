@@ -12,14 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Motions under fields: conserved quantities, and magnification of errors."""
+"""Motions under fields, and by how much motions magnify errors."""
 
-from mpmath import mp
 import numpy as np
 from rigid_body_ros import GravityGradient, Problem, RigidBody, State, UniformField
 from rigid_body_ros.mechanics import so3
 from terms import SECOND
-import truth
 
 #: Change of the start, rad, with which `magnification` measures the sensitivity. The motions stay
 #: close even if it is magnified by 1e9, and rounding is at most a ten-thousandth of it.
@@ -58,50 +56,6 @@ def magnification(run, start, times_ns):
 def _moved(start, change, speed):
     return State(start.time_ns, so3.multiply(start.attitude, so3.exp(change[:3])),
                  start.angular_velocity + speed * change[3:], start.rotor_momentum)
-
-
-def _drift(values, scale):
-    return float(abs(values - values[0]).max() / scale)
-
-
-def energy_drift(problem, motion):
-    """Return the largest change of kinetic plus potential energy, relative to the kinetic."""
-    kinetic = motion.kinetic_energy
-    return _drift(kinetic + sum(one.potential_energy(
-        problem.body, motion.times_ns, motion.attitude) for one in problem.fields), kinetic.max())
-
-
-def momentum_drift(problem, motion):
-    """Return the largest relative change of the momentum about the direction of the fields."""
-    direction, momentum = np.asarray(problem.fields[0].field), motion.angular_momentum_space
-    return _drift(momentum @ direction / np.linalg.norm(direction),
-                  np.linalg.norm(momentum, axis=1).max())
-
-
-@mp.workdps(30)
-def jacobi_drift(problem, motion):
-    """
-    Return the largest change of Jacobi's integral, relative to the kinetic energy.
-
-    Jacobi's integral, computed with 30 digits, is the energy as seen from the orbit. It is
-    T - n (normal . L) + V, with the kinetic energy T, the momentum L in space axes, and the
-    potential V of the gravity gradient, which is the only field. Double precision would round the
-    angle of the orbit.
-    """
-    orbit, = problem.fields
-    tensor, n = truth.exact(problem.body.inertia), mp.mpf(orbit.mean_motion)
-    rotors = truth.exact(problem.start.rotor_momentum)
-    position, along = truth.exact(orbit.position), truth.exact(orbit.along)
-    found = []
-    for time_ns, q, w in zip(motion.times_ns.tolist(), motion.attitude, motion.angular_velocity):
-        q, w, angle = truth.exact(q), truth.exact(w), n * (time_ns - orbit.time_ns) / SECOND
-        q = q * [-1, -1, -1, 1] / mp.sqrt(q @ q)  # from space to body
-        r, normal = (truth.rotate(q, v) for v in (
-            mp.cos(angle) * position + mp.sin(angle) * along, np.cross(position, along)))
-        momentum = tensor @ w
-        found.append(w @ momentum / 2 - n * (normal @ (momentum + rotors))
-                     + 3 * n * n * (r @ (tensor @ r)) / 2)
-    return _drift(np.array(found), motion.kinetic_energy.max())
 
 
 def under_one_field(name, seed):

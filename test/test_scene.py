@@ -226,6 +226,8 @@ def test_a_scene_is_printed_with_units(tmp_path):
     ({'fields': ['pivot'], 'pivot.moment.z': 0.2}, 'pivot.field: expected .* found zeros'),
     ({'orbit.mean_motion': 1e-3, 'orbit.position.z': 1.0},
      'orbit: position and normal: expected directions at right angles'),
+    ({'orbit.mean_motion': 1e-3, 'orbit.position.x': 0.0},
+     'orbit: position: expected a direction, found zeros'),
     ({'orbit.mean_motion': 1e-3, 'checkpoint': 'state.json'},
      'start_time: expected the time of orbit.position, ns, because a checkpoint does not keep it'),
     ({'max_future': 2.0}, r'max_future: expected less than history \(1.0 s\), found 2.0 s')])

@@ -75,27 +75,6 @@ def test_momentum_in_space_is_constant_with_wheels_alone(wheels):
     assert np.abs(so3.rotate(motion.attitude, by_hand) - momentum[0]).max() < 1e-14 * largest
 
 
-def energy(body, wheels, motion):
-    """Return the kinetic energy of a body with its wheels, J, shape (m,)."""
-    inertia = np.array([wheel.inertia for wheel in wheels])
-    turns = motion.angular_velocity @ np.array([wheel.axis for wheel in wheels]).T
-    whole = motion.wheel_speeds + turns
-    return motion.kinetic_energy + 0.5 * (whole ** 2 - turns ** 2) @ inertia
-
-
-def test_friction_takes_energy_until_the_wheels_turn_with_the_body():
-    at = np.arange(0, 300 * SECOND, SECOND // 10)
-    wheels = [replace(wheel, friction=0.02) for wheel in FREE]
-    motion = propagate(BODY, START, at=at, wheels=wheels)
-    change = np.diff(energy(BODY, wheels, motion))
-    assert (change < 1e-14).all()
-    assert change[:100].max() < -1e-4
-    loss = 0.02 * (motion.wheel_speeds[:-1] ** 2 + motion.wheel_speeds[1:] ** 2).sum(axis=1) / 2
-    assert change[:100] == pytest.approx(-0.1 * loss[:100], rel=1e-2)
-    # At the end, the wheels hardly turn relative to the body.
-    assert abs(motion.wheel_speeds[-1]).max() < 0.1
-
-
 def test_a_little_friction_gives_almost_the_motion_without():
     efforts, at = commands(np.random.default_rng(11)), np.arange(0, 4 * SECOND, SECOND // 7)
     without, little = (propagate(BODY, START, at=at, efforts=efforts, wheels=[
