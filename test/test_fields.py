@@ -109,20 +109,6 @@ def test_a_sphere_feels_no_gravity_gradient():
     assert_close(under([], body=body), under([ORBIT], body=body))
 
 
-#: The coefficients of a finite difference of order eight.
-WEIGHTS = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
-
-
-@pytest.mark.parametrize('given', [WEIGHT, GravityGradient(
-    ORBIT.mean_motion, ORBIT.position, ORBIT.normal, 0)], ids=['uniform', 'gradient'])
-def test_a_torque_is_the_slope_of_its_potential(given):
-    at, attitude = np.full(9, SECOND), START.attitude
-    torque = given.torque(BODY, at[:1], attitude[None])[0]
-    slopes = [WEIGHTS @ given.potential_energy(BODY, at, so3.multiply(
-        attitude, so3.exp(0.01 * np.outer(np.arange(-4, 5), axis)))) / 0.01 for axis in np.eye(3)]
-    assert np.linalg.norm(torque + slopes) < 1e-12 * np.linalg.norm(torque)
-
-
 # The time of an orbit
 
 

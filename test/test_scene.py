@@ -14,7 +14,6 @@
 
 """Scene files are read as ROS reads them, or rejected with one helpful line."""
 
-
 from conftest import CONFIG
 import numpy as np
 import pytest

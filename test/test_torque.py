@@ -14,7 +14,6 @@
 
 """Torque logs: the torque between samples."""
 
-
 from conftest import EPOCH_NS, SECOND
 import numpy as np
 import pytest
@@ -24,11 +23,6 @@ from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 RANDOM = np.random.default_rng(23)
 TIMES = EPOCH_NS + np.cumsum(RANDOM.integers(SECOND // 20, SECOND // 5, 40))
 TORQUES = RANDOM.normal(size=(40, 3))
-
-
-def spread(times_ns, count):
-    # Relative times, because adjacent doubles are 238 ns apart for absolute times.
-    return times_ns[0] + np.linspace(0, times_ns[-1] - times_ns[0], count).astype(np.int64)
 
 
 def smooth(times_ns):
@@ -59,10 +53,11 @@ def test_cubic_is_of_fourth_order():
 @pytest.mark.parametrize('count', [1, 2, 3, 4])
 def test_cubic_takes_the_samples_there_are(count):
     log = TorqueLog(TIMES[:count], TORQUES[:count], interpolation='cubic')
-    times = spread(TIMES[:count], 7)
-    degree = np.polynomial.Polynomial.fit(
-        TIMES[:count] - TIMES[0], TORQUES[:count, 0], count - 1, domain=[0.0, 1e9])
-    np.testing.assert_allclose(log.at(times)[0][:, 0], degree(times - TIMES[0]), atol=1e-12)
+    # Relative times, because adjacent doubles are 238 ns apart for absolute times.
+    past = TIMES[:count] - TIMES[0]
+    times = np.linspace(0, past[-1], 7).astype(np.int64)
+    degree = np.polynomial.Polynomial.fit(past, TORQUES[:count, 0], count - 1, domain=[0.0, 1e9])
+    np.testing.assert_allclose(log.at(TIMES[0] + times)[0][:, 0], degree(times), atol=1e-12)
 
 
 def test_of_equal_stamps_the_later_sample_counts():
