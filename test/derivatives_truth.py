@@ -85,14 +85,10 @@ class Case:
         return np.random.default_rng(self.count).normal(size=(self.count, 3)) * self.size
 
     @property
-    def span_ns(self):
-        """Return the duration of each torque, ns."""
-        return round(self.end_ns / max(self.count - self.begun, 1))
-
-    @property
     def times_ns(self):
         """Return the times at which the torques begin, ns."""
-        return np.arange(self.count) * self.span_ns - round(self.begun * self.span_ns)
+        span_ns = round(self.end_ns / max(self.count - self.begun, 1))
+        return np.arange(self.count) * span_ns - round(self.begun * span_ns)
 
     def parameters(self):
         """Return the values of all parameters, and the attitude at the start."""
@@ -108,10 +104,6 @@ class Case:
             ['torque_gains'] * bool(self.count)
             + ['torque_bias'] * bool(self.count and not (self.in_space or self.lag))
             + [*self.more])
-
-    def components(self):
-        """Return the components of these parameters."""
-        return self.problem().derivatives(self.names(), at=[0]).names
 
     def problem(self):
         """Return the problem in doubles."""

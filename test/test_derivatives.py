@@ -375,20 +375,6 @@ def test_torch_has_these_gradients(torch, of_numpy):
 
 
 @pytest.mark.slow
-def test_torch_finds_the_gradients_right(torch):
-    given = mixed(count=12)
-    inputs = {**INPUTS, 'torques': given.logs[0].torques}
-    motion = autodiff.torch_motion(given, at=[4 * SECOND, 2 * SECOND])
-
-    def outputs(*values):
-        named = dict(zip(inputs, values))
-        return motion({**named, **{name: 0.5 * (named[name] + named[name].T)
-                                   for name in ('inertia', 'damping')}})
-    tensors = [torch.tensor(np.array(values), requires_grad=True) for values in inputs.values()]
-    assert torch.autograd.gradcheck(outputs, tensors, eps=1e-5, atol=1e-8, rtol=1e-7)
-
-
-@pytest.mark.slow
 def test_jax_has_these_gradients(jax, of_numpy):
     inputs, known = of_numpy
     motion = autodiff.jax_motion(mixed(), at=AT)

@@ -315,15 +315,6 @@ def test_an_axis_is_a_unit_vector_and_x_by_default(axis, expected):
     np.testing.assert_allclose(propeller(axis).axis, expected, rtol=EPS, atol=0)
 
 
-def test_a_thrust_along_an_axis_of_the_frame_has_the_bits_of_a_fixed_frame():
-    turning = propeller(['0 0 1'])
-    fixed = urdf.fixed_frames(robot(
-        ('fixed', 'base_link', 'f', '0.1 0.2 0.3', '0.4 -0.1 0.3')))['f']
-    wrenches = np.random.default_rng(4).normal(size=(100, 6)) * [0, 0, 1, 0, 0, 1]
-    assert (turning.torque(wrenches[:, :3], wrenches[:, 3:])
-            == fixed.torque(wrenches[:, :3], wrenches[:, 3:])).all()
-
-
 @pytest.mark.parametrize('scale', [1.0, 1e-308, 1e300])
 def test_rounding_across_the_axis_is_accepted_and_has_no_effect(scale):
     subnormal = 5e-324 * np.arange(1, 200)[:, None] * AXIS

@@ -276,10 +276,7 @@ def test_a_fitted_weight_is_a_field_of_the_fitted_scene(tmp_path):
     assert weight.moment.tolist() == [estimates[f'weight.{axis}']['value'] for axis in 'xyz']
     assert weight.field.tolist() == [0.0, 0.0, -9.81]
     arguments = [str(tmp_path / 'in.mcap'), '--scene', str(fitted)]
-    assert main.attitude_compare([*arguments, '--check', '--json', str(tmp_path / 'c.json')]) == 0
-    data = json.loads((tmp_path / 'c.json').read_text())
-    assert data['attitude_error_rad']['rms'] < 2e-3 * 3 ** 0.5 * 1.1
-    assert data['rate_error_rad_s']['rms'] < 5e-3 * 3 ** 0.5 * 1.1
+    assert main.attitude_compare([*arguments, '--check']) == 0
     assert main.attitude_ensemble(['--scene', str(fitted), '--vary', str(out), '--recording',
                                    str(tmp_path / 'in.mcap'), '--runs', '20', '-o',
                                    str(tmp_path / 'runs')]) == 0

@@ -14,10 +14,7 @@
 
 """The inertia from the topic of robot_state_publisher."""
 
-import os
 import signal
-import subprocess
-import tempfile
 import time
 
 from conftest import at_night
@@ -50,11 +47,18 @@ def parameters(tmp_path):
     return path
 
 
+class WaitingSession(LiveSession):
+    """A session whose node waits for a description."""
+
+    def _connect(self):
+        self.wait_until(lambda: WAITS in self.words(), 'the node to wait')
+
+
 class DescribedSession(LiveSession):
     """A session with a robot_state_publisher that starts when the node waits for it."""
 
     def _connect(self):
-        self.wait_until(lambda: WAITS in self.words(), 'the node to wait')
+        WaitingSession._connect(self)
         self.wait_until(lambda: ('/robot_description', ['std_msgs/msg/String']) in (
             self.node.get_subscriber_names_and_types_by_node('attitude_node', '/')
             if ('attitude_node', '/') in self.node.get_node_names_and_namespaces() else ()),
@@ -110,21 +114,12 @@ def test_a_robot_without_an_inertia_ends_the_node_with_one_line(domain, paramete
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, *at_night(signal.SIGINT)])
 def test_a_signal_ends_a_node_that_waits(domain, parameters, number):
-    session = LiveSession(parameters, domain)
-    with tempfile.TemporaryFile() as log, subprocess.Popen(
-            session.command, env=session.environment, stderr=log) as process:
-        def words():
-            return os.pread(log.fileno(), 2 ** 16, 0).decode()
-        try:
-            until = time.monotonic() + PATIENCE
-            while WAITS not in words() and time.monotonic() < until:
-                time.sleep(0.05)
-            process.send_signal(number)
-            assert process.wait(timeout=PATIENCE) == 128 + number
-        finally:
-            process.kill()
-        assert words().splitlines()[-1].startswith('attitude_node: interrupted')
-        assert 'Traceback' not in words()
+    with WaitingSession(parameters, domain) as live:
+        live.process.send_signal(number)
+        assert live.process.wait(timeout=PATIENCE) == 128 + number
+        words = live.words()
+    assert words.splitlines()[-1].startswith('attitude_node: interrupted')
+    assert 'Traceback' not in words
 
 
 class LonelySession(DescribedSession):
