@@ -129,7 +129,7 @@ def traffic(recorded, topic='/torque', others=False, header=True):
             zip(recorded.stamps_ns.tolist(), recorded.frame_ids, recorded.values.tolist())):
         if others:
             sent += [_string(stamp - 300, random) for _ in range(40 if not number else 1)]
-            sent += [_imu(stamp - 200, random)] * int(random.integers(3))
+            sent += [_attitude(stamp - 200, random)] * int(random.integers(3))
         wrench = _made(BARE, force=_vector(*values[:3]), torque=_vector(*values[3:]))
         sent.append(Sent(topic, _made(WRENCH, header=_header(stamp, frame_id), wrench=wrench)
                          if header else wrench, stamp))
@@ -375,12 +375,8 @@ def _string(stamp_ns, random):
     return Sent('/chatter', _made('std_msgs/msg/String', data=text), stamp_ns)
 
 
-def _imu(stamp_ns, random):
-    return Sent('/imu', _made(
-        'sensor_msgs/msg/Imu', header=_header(stamp_ns, 'imu'),
-        orientation=_made('geometry_msgs/msg/Quaternion', x=0.0, y=0.0, z=0.0, w=1.0),
-        orientation_covariance=np.zeros(9),
-        angular_velocity=_vector(*random.normal(size=3).tolist()),
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=_vector(0.0, 0.0, 9.81),
-        linear_acceleration_covariance=np.zeros(9)), stamp_ns)
+def _attitude(stamp_ns, random):
+    x, y, z, w = random.normal(size=4).tolist()
+    return Sent('/attitude', _made(
+        'geometry_msgs/msg/QuaternionStamped', header=_header(stamp_ns, 'map'),
+        quaternion=_made('geometry_msgs/msg/Quaternion', x=x, y=y, z=z, w=w)), stamp_ns)
