@@ -14,39 +14,18 @@
 
 """The records of a node's epochs: markers and torques in its logs, and committed states."""
 
-from conftest import CONFIG, SECOND
+from conftest import SECOND
 import numpy as np
-import pytest
-from rigid_body_ros import messages, recording, scene, State, TorqueLog
-from rigid_body_ros.commands import main
+from rigid_body_ros import messages, recording, State, TorqueLog
 
-ACCEPTED, ACCEPTED_1, WHEELS = (f'/node/accepted_{name}' for name in (
-    'torque', 'torque_1', 'wheel_torque'))
-COMMITTED = '/node/committed'
+COMMITTED, WHEELS = '/node/committed', '/node/accepted_wheel_torque'
 KINDS = {COMMITTED: messages.ODOMETRY, '/h': messages.VECTOR3}
-COMMANDS = {
-    'replay': [main.attitude_replay, '{log}', '-o', '{out}.mcap'],
-    'verify': [main.attitude_replay, '{log}', '--verify', '{log}'],
-    'compare': [main.attitude_compare, '{log}', '--measured', COMMITTED, '--json', '{out}.json'],
-    'identify': [main.attitude_identify, '{log}', '--measured', COMMITTED, '--json', '{out}.json'],
-    'tradeoff': [main.attitude_tradeoff, '--recording', '{log}', '--json', '{out}.json'],
-    'ensemble': [main.attitude_ensemble, '--recording', '{log}', '--runs', '4', '-o', '{out}',
-                 '--vary', '{vary}']}
 
 
 def rows(times, torques):
     """Return pairs (stamp, torque) for torques at times, s."""
     torques = np.broadcast_to(torques, (len(times), 3))
     return [(round(time * SECOND), tuple(torque)) for time, torque in zip(times, torques.tolist())]
-
-
-#: The starts of two epochs, and their torques. In the first, a torque acts from the start on.
-FIRST = State(5 * SECOND, (0.1, 0.2, 0.3, 0.9), (0.15, 0.6, -0.1))
-SECOND_START = State(20 * SECOND, (0.5, -0.5, 0.5, 0.5), (-0.2, 0.1, 0.3))
-TORQUES = {ACCEPTED: rows(5.0 + 0.1 * np.arange(40), 0.01 * np.random.default_rng(1).normal(
-    size=(40, 3)))}
-MORE = {ACCEPTED: rows(20.0 + 0.05 * np.arange(1, 31), 0.01 * np.random.default_rng(2).normal(
-    size=(30, 3)))}
 
 
 def motion_of(run, start, torques, at=None):
@@ -73,11 +52,6 @@ def epoch(run, start, torques):
             *((COMMITTED, messages.odometry(state, 'world', 'base_link')) for state in states)]
 
 
-def two_epochs(run):
-    """Return the messages that a node publishes in the two epochs."""
-    return [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
-
-
 def save(path, sent, *empty):
     """Write messages, each 1 ms after the previous one, and empty topics; return the path."""
     with recording.Writer(path) as writer:
@@ -86,17 +60,6 @@ def save(path, sent, *empty):
         for number, (topic, data) in enumerate(sent):
             writer.write(topic, 1_700_000_000 * SECOND + number * SECOND // 1000, data)
     return str(path)
-
-
-@pytest.fixture
-def run():
-    return scene.load(CONFIG / 'tumbler.yaml')
-
-
-@pytest.fixture
-def two(run, tmp_path):
-    """Return a recording of two epochs."""
-    return save(tmp_path / 'two.mcap', two_epochs(run))
 
 
 def without(sent, topic, *numbers):
@@ -108,14 +71,3 @@ def without(sent, topic, *numbers):
 
 def attitudes(path):
     return recording.read(path, '/attitude', messages.QUATERNION)
-
-
-def called(tmp_path, name, log, *lines):
-    """Run a command with a recording and a tumbler with more lines; return its exit status."""
-    command, *arguments = COMMANDS[name]
-    vary, config = tmp_path / 'vary.yaml', tmp_path / 'scene.yaml'
-    vary.write_text('initial_angular_velocity.z: {normal: 0.01}\n')
-    config.write_text((CONFIG / 'tumbler.yaml').read_text()
-                      + ''.join(f'    {line}\n' for line in lines))
-    return command([word.format(log=log, out=tmp_path / 'out', vary=vary) for word in arguments]
-                   + ['--scene', str(config)])

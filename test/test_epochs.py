@@ -18,27 +18,7 @@ from dataclasses import replace
 import json
 
 from conftest import at_night, CONFIG, memory_limit, ROOT, SECOND
-import node_logs
-from node_logs import (
-    ACCEPTED,
-    ACCEPTED_1,
-    attitudes,
-    called,
-    COMMANDS,
-    COMMITTED,
-    epoch,
-    FIRST,
-    MORE,
-    rows,
-    run,
-    save,
-    SECOND_START,
-    TORQUES,
-    two,
-    two_epochs,
-    WHEELS,
-    without,
-)
+from node_logs import attitudes, COMMITTED, epoch, motion_of, rows, save, WHEELS, without
 import numpy as np
 import pytest
 from rigid_body_ros import messages, read, recording, scene, State
@@ -52,8 +32,24 @@ from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.replay.verify import verify
 from rigid_body_ros.scene import InputError
 
-run, two = run, two  # fixtures, used by their names
+ACCEPTED, ACCEPTED_1 = '/node/accepted_torque', '/node/accepted_torque_1'
+#: Commands that read a recording, and those that need one motion.
+COMMANDS = {
+    'replay': ['attitude_replay', '{log}', '-o', '{out}.mcap'],
+    'verify': ['attitude_replay', '{log}', '--verify', '{log}'],
+    'compare': ['attitude_compare', '{log}', '--measured', COMMITTED, '--json', '{out}.json'],
+    'identify': ['attitude_identify', '{log}', '--measured', COMMITTED, '--json', '{out}.json'],
+    'tradeoff': ['attitude_tradeoff', '--recording', '{log}', '--json', '{out}.json'],
+    'ensemble': ['attitude_ensemble', '--recording', '{log}', '--runs', '4', '-o', '{out}',
+                 '--vary', '{vary}']}
 ONE_MOTION = [name for name in COMMANDS if name not in ('replay', 'verify')]
+#: The starts of two epochs, and their torques. In the first, a torque acts from the start on.
+FIRST = State(5 * SECOND, (0.1, 0.2, 0.3, 0.9), (0.15, 0.6, -0.1))
+SECOND_START = State(20 * SECOND, (0.5, -0.5, 0.5, 0.5), (-0.2, 0.1, 0.3))
+TORQUES = {ACCEPTED: rows(5.0 + 0.1 * np.arange(40), 0.01 * np.random.default_rng(1).normal(
+    size=(40, 3)))}
+MORE = {ACCEPTED: rows(20.0 + 0.05 * np.arange(1, 31), 0.01 * np.random.default_rng(2).normal(
+    size=(30, 3)))}
 
 
 REST, STILL = State(5 * SECOND), {ACCEPTED: rows([6.0, 7.0, 8.0], (0.0, 0.0, 0.0))}
@@ -81,6 +77,42 @@ LOGS = {
     'more of them': [(REST, STILL), AGAIN, AGAIN, AGAIN]}
 
 
+def two_epochs(run):
+    """Return the messages that a node publishes in two epochs."""
+    return [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
+
+
+@pytest.fixture
+def run():
+    return scene.load(CONFIG / 'tumbler.yaml')
+
+
+@pytest.fixture
+def two(run, tmp_path):
+    """Return a recording of two epochs."""
+    return save(tmp_path / 'two.mcap', two_epochs(run))
+
+
+@pytest.fixture
+def words_of(tmp_path, scene_with):
+    """Return a function of a command, a recording and lines of a scene: the words to call it."""
+    def words(name, log, *lines):
+        vary = tmp_path / 'vary.yaml'
+        vary.write_text('initial_angular_velocity.z: {normal: 0.01}\n')
+        return [*(word.format(log=log, out=tmp_path / 'out', vary=vary)
+                  for word in COMMANDS[name]), '--scene', scene_with(*lines)]
+    return words
+
+
+@pytest.fixture
+def called(words_of):
+    """Return a function that calls a command with a recording, and returns its status."""
+    def call(*given):
+        command, *arguments = words_of(*given)
+        return getattr(main, command)(arguments)
+    return call
+
+
 @pytest.mark.parametrize(('name', 'options'), [
     *((name, {}) for name in LOGS), ('no torques', {'interpolation': 'cubic'}),
     *((name, {'until': 3.0}) for name in LOGS if 'torque' in name)], ids=str)
@@ -89,7 +121,7 @@ def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, name, optio
     epochs, until = LOGS[name], options.get('until')
     log = save(tmp_path / 'log.mcap', [one for each in epochs for one in epoch(run, *each)])
     result = replay(log, run, tmp_path / 'out.mcap', **options)
-    motions = [node_logs.motion_of(
+    motions = [motion_of(
         run, start, torques, until and [start.time_ns + round(until * SECOND)])
         for start, torques in epochs]
     for found, motion in zip((*result.earlier, result), motions, strict=True):
@@ -119,7 +151,7 @@ def test_epochs_are_described_and_written_as_text(run, tmp_path, monkeypatch, ke
     log = save(tmp_path / 'two.mcap', two_epochs(run))
     result = replay(log, run, tmp_path / 'out.csv', keep=keep)
     first, = result.earlier
-    motions = [node_logs.motion_of(run, *one) for one in LOGS['two']]
+    motions = [motion_of(run, *one) for one in LOGS['two']]
     table = np.loadtxt(tmp_path / 'out.csv', delimiter=',', skiprows=1, usecols=range(1, 5))
     np.testing.assert_array_equal(table, np.vstack([one.attitude for one in motions]))
     if keep:
@@ -142,18 +174,10 @@ def test_until_and_rate_are_those_of_each_epoch(run, two, tmp_path):
     assert (result.epochs, result.compared_epochs, result.pending) == (2, 2, 0)
 
 
-def refused(tmp_path, capsys, name, log):
-    """Run a command with a recording, expect one line of error, and return it."""
-    assert called(tmp_path, name, log) == 2
-    captured = capsys.readouterr()
-    line, = captured.err.splitlines()
-    assert captured.out == ''
-    return line
-
-
 @pytest.mark.parametrize(('name', 'defect'), [
     *((name, 'middle') for name in COMMANDS), ('replay', 'older')])
-def test_a_log_without_its_start_is_refused_by_every_command(run, tmp_path, capsys, name, defect):
+def test_a_log_without_its_start_is_refused_by_every_command(run, tmp_path, words_of, refusal,
+                                                             name, defect):
     sent = two_epochs(run)
     if defect == 'older':  # a marker without a start state, in later epochs only
         sent = without(sent, ACCEPTED, 0)
@@ -163,7 +187,7 @@ def test_a_log_without_its_start_is_refused_by_every_command(run, tmp_path, caps
     else:
         sent = without(sent, ACCEPTED, 0, 1, 2)
         found = 'found the first marker in message 39'
-    line = refused(tmp_path, capsys, name, save(tmp_path / 'log.mcap', sent))
+    line = refusal(*words_of(name, save(tmp_path / 'log.mcap', sent)))
     assert (f'log.mcap: {ACCEPTED}: expected the log of a node to begin with the marker and the '
             f'start state of an epoch, {found}: the recording began in the middle') in line
     assert not [*tmp_path.glob('out*')]
@@ -288,7 +312,7 @@ def test_several_topics_have_the_same_epochs(wheeled, tmp_path, monkeypatch):
                                        for one in epoch(wheeled, *each)])
     result = replay(log, wheeled, tmp_path / 'out.mcap', **TOPICS)
     for found, start, one in zip((*result.earlier, result), starts, given):
-        motion = node_logs.motion_of(wheeled, start, one)
+        motion = motion_of(wheeled, start, one)
         np.testing.assert_array_equal(found.last.attitude, motion.attitude[-1])
         np.testing.assert_array_equal(found.last.rotor_momentum, motion.rotor_momentum[-1])
     for motion in (log, tmp_path / 'out.mcap'):
@@ -302,7 +326,7 @@ def test_a_process_may_be_killed_between_the_markers_of_two_topics(wheeled, tmp_
         *epoch(wheeled, FIRST, given), (ACCEPTED, messages.epoch_marker(SECOND_START)),
         (ACCEPTED, messages.wrench(21 * SECOND, '', (0.01, 0.0, 0.0)))])
     result = replay(log, wheeled, **TOPICS)
-    motion = node_logs.motion_of(wheeled, SECOND_START, {ACCEPTED: rows([21.0], (0.01, 0, 0))})
+    motion = motion_of(wheeled, SECOND_START, {ACCEPTED: rows([21.0], (0.01, 0, 0))})
     np.testing.assert_array_equal(result.last.attitude, motion.attitude[-1])
     compared = verify(log, wheeled, log, recording.Topics.given(**TOPICS))
     assert (compared.same.all(), compared.compared_epochs, compared.pending) == (True, 1, 1)
@@ -363,7 +387,7 @@ def test_what_is_no_log_of_epochs_is_refused(run, wheeled, tmp_path, sent, optio
 def test_a_topic_without_messages_has_no_torques_in_any_epoch(run, tmp_path):
     log = save(tmp_path / 'log.mcap', two_epochs(run), ACCEPTED_1)
     result = replay(log, run, topic=[ACCEPTED, ACCEPTED_1])
-    motion = node_logs.motion_of(run, SECOND_START, MORE)
+    motion = motion_of(run, SECOND_START, MORE)
     np.testing.assert_array_equal(result.last.attitude, motion.attitude[-1])
 
 
@@ -378,17 +402,17 @@ def test_of_equal_starts_the_last_epoch_is_meant():
 @pytest.mark.slow
 @pytest.mark.parametrize('name', [*at_night('tradeoff'), *(
     name for name in ONE_MOTION if name != 'tradeoff')])
-def test_commands_that_need_one_motion_ask_for_its_start(two, tmp_path, capsys, name):
-    line = refused(tmp_path, capsys, name, two)
+def test_commands_that_need_one_motion_ask_for_its_start(two, words_of, refusal, called, name):
+    line = refusal(*words_of(name, two))
     assert (f'two.mcap: expected one epoch, or the start_time of one, found 2 epochs, which begin '
             f'at {FIRST.time_ns}, {SECOND_START.time_ns} ns, and start_time 0; set start_time in '
             'the scene') in line
-    assert called(tmp_path, name, two, f'start_time: {SECOND_START.time_ns}') in (0, 3)
+    assert called(name, two, f'start_time: {SECOND_START.time_ns}') in (0, 3)
 
 
 @pytest.mark.parametrize(('start', 'count'), [(FIRST, 40), (SECOND_START, 31)])
-def test_measurements_of_other_epochs_are_left_out(two, tmp_path, start, count):
-    assert called(tmp_path, 'compare', two, f'start_time: {start.time_ns}') == 0
+def test_measurements_of_other_epochs_are_left_out(two, tmp_path, called, start, count):
+    assert called('compare', two, f'start_time: {start.time_ns}') == 0
     found = json.loads((tmp_path / 'out.json').read_text())
     assert (found['samples'], found['left_out']) == (count, 71 - count)
     assert found['attitude_error_rad']['max'] < 1e-15
@@ -398,8 +422,8 @@ def test_measurements_of_other_epochs_are_left_out(two, tmp_path, start, count):
     assert np.sum(sensor.stamps_ns >= start.time_ns) == count
 
 
-def test_the_part_of_an_epoch_ends_after_its_start_and_begins_with_it(two, tmp_path):
-    assert called(tmp_path, 'compare', two, f'start_time: {SECOND_START.time_ns}') == 0
+def test_the_part_of_an_epoch_ends_after_its_start_and_begins_with_it(two, called, tmp_path):
+    assert called('compare', two, f'start_time: {SECOND_START.time_ns}') == 0
     run = scene.load(tmp_path / 'scene.yaml')
     (_, observed), = read_experiments([two], run, Reading((COMMITTED,), until=0.5))
     sensor, = observed.sensors
@@ -419,8 +443,8 @@ def test_a_table_of_recordings_says_how_many_epochs_there_are(run, two, tmp_path
 # Every committed state of every epoch in the log of a node
 
 @pytest.mark.parametrize('start_time', [0, SECOND_START.time_ns, 3])
-def test_the_start_of_the_scene_does_not_matter(two, tmp_path, capsys, start_time):
-    assert called(tmp_path, 'verify', two, f'start_time: {start_time}') == 0
+def test_the_start_of_the_scene_does_not_matter(two, called, capsys, start_time):
+    assert called('verify', two, f'start_time: {start_time}') == 0
     assert 'compared      71 states of /node/committed in 2 epochs\nsame bits     71 of 71\n' \
         in capsys.readouterr().out
 
@@ -439,13 +463,13 @@ def nudged(stamp, values):
     return stamp, values
 
 
-def test_a_bit_that_differs_in_the_first_epoch_is_found(run, tmp_path, capsys):
+def test_a_bit_that_differs_in_the_first_epoch_is_found(run, tmp_path, called, capsys):
     sent = two_epochs(run)
     log = save(tmp_path / 'log.mcap', committed(sent, 17, nudged))
-    assert called(tmp_path, 'verify', log) == 1
+    assert called('verify', log) == 1
     words = capsys.readouterr().out
     assert 'same bits     70 of 71\n' in words
-    stamp = node_logs.motion_of(run, FIRST, TORQUES).times_ns[17]
+    stamp = motion_of(run, FIRST, TORQUES).times_ns[17]
     assert f'first in state 18, at {stamp} ns: 0 rad' in words
 
 
@@ -459,14 +483,14 @@ def test_states_after_until_are_not_compared(run, tmp_path, capsys):
     assert main.attitude_replay([*arguments, '1.8']) == 1
 
 
-def test_torques_without_a_committed_state_are_counted(run, tmp_path, capsys):
+def test_torques_without_a_committed_state_are_counted(run, tmp_path, called, capsys):
     sent = two_epochs(run)
     killed = without(sent, COMMITTED, *range(32, 40), *range(69, 71))
-    assert called(tmp_path, 'verify', save(tmp_path / 'log.mcap', killed)) == 0
+    assert called('verify', save(tmp_path / 'log.mcap', killed)) == 0
     assert ('compared      61 states of /node/committed in 2 epochs; 10 torques have no committed '
             'state\n') in capsys.readouterr().out
     killed = without(sent, COMMITTED, *range(40, 71))
-    assert called(tmp_path, 'verify', save(tmp_path / 'log.mcap', killed)) == 0
+    assert called('verify', save(tmp_path / 'log.mcap', killed)) == 0
     assert ('compared      40 states of /node/committed in 1 of 2 epochs; 30 torques have no '
             'committed state\n') in capsys.readouterr().out
 
@@ -487,8 +511,9 @@ def test_torques_without_a_committed_state_are_counted(run, tmp_path, capsys):
     # The first epoch twice.
     (lambda sent: without(2 * sent[:81], COMMITTED, 40), 'in message 41, because its stamp, '
      '5100000000 ns, is not later than the one before, 8900000000 ns')], ids=range(7))
-def test_states_without_a_counterpart_are_refused(run, tmp_path, capsys, change, message):
+def test_states_without_a_counterpart_are_refused(run, tmp_path, words_of, refusal, change,
+                                                  message):
     log = save(tmp_path / 'log.mcap', change(two_epochs(run)))
-    line = refused(tmp_path, capsys, 'verify', log)
+    line = refusal(*words_of('verify', log))
     assert f'log.mcap: {COMMITTED}: ' in line
     assert message in line
