@@ -12,14 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The security policy is valid, and allows exactly what the nodes use."""
+"""A node has exactly the endpoints that docs/nodes.md lists and the security policy allows."""
 
 from importlib import import_module
 from importlib.util import find_spec
 import xml.etree.ElementTree as ElementTree
 
 from conftest import at_night, CONFIG
+import nodes
 import pytest
+from rigid_body_ros.live.events import CAUSES
 
 POLICY = CONFIG / 'security' / 'rigid_body_ros.policy.xml'
 #: The rules for policies of sros2, version 0.2.0: for each element, its attributes, which of these
@@ -36,9 +38,10 @@ ONCE = ('enclaves',)
 #: The permission of each kind of endpoint.
 KINDS = {'publisher': ('topics', 'publish'), 'subscriber': ('topics', 'subscribe'),
          'service': ('services', 'reply'), 'client': ('services', 'request')}
+#: Parameters of a named wheel.
+NAMED = 'wheel_names:=[rw] rw.axis.x:=1.0 rw.inertia:=0.001'
 CONFIGURATIONS = [
-    'mode:=lockstep publish_clock:=true wheel_names:=[rw] rw.axis.x:=1.0 rw.inertia:=0.001 '
-    'inertia_topic:=true actuator.topics:=[torque]',
+    f'mode:=lockstep publish_clock:=true {NAMED} inertia_topic:=true actuator.topics:=[torque]',
     'use_sim_time:=true wheels:=true' + ' publish_tf:=true' * bool(find_spec('tf2_msgs')),
     'mode:=clock']
 #: Offered only if simulation_interfaces is installed.
@@ -88,7 +91,7 @@ def test_it_keeps_the_rules_of_sros2():
 
 
 def endpoints(domain, node, parameters):
-    """Return the names of all endpoints that a node creates, by kind."""
+    """Return the type and the QoS of all endpoints that a node creates, by kind and name."""
     import rclpy
     words = [word for one in parameters.split() for word in ('-p', one)]
     rclpy.init(args=['node', '--ros-args', '--params-file', str(CONFIG / 'tumbler.yaml'), *words],
@@ -97,14 +100,22 @@ def endpoints(domain, node, parameters):
         module, name = node
         made = getattr(import_module(f'rigid_body_ros.node.{module}'), name)()
         polled = getattr(made, 'polled', ())
-        found = {'publisher': {one.topic_name for one in made.publishers},
-                 'subscriber': {one.topic_name for one in (*made.subscriptions, *polled)},
-                 'service': {made.resolve_service_name(one.srv_name) for one in made.services},
-                 'client': {made.resolve_service_name(one.srv_name) for one in made.clients}}
+        found = {kind: {one.topic_name: (type_name(one.msg_type), one.qos_profile)
+                        for one in topics}
+                 for kind, topics in (('publisher', made.publishers),
+                                      ('subscriber', (*made.subscriptions, *polled)))}
+        found |= {kind: {made.resolve_service_name(one.srv_name): (type_name(one.srv_type), None)
+                         for one in services}
+                  for kind, services in (('service', made.services), ('client', made.clients))}
         made.destroy_node()
         return found
     finally:
         rclpy.shutdown()
+
+
+def type_name(kind):
+    package, part, _ = kind.__module__.split('.')
+    return f'{package}/{part}/{kind.__name__}'
 
 
 @pytest.mark.ros
@@ -137,3 +148,47 @@ def test_a_node_uses_exactly_what_its_policy_allows(domain, executable, name, co
         if not find_spec('simulation_interfaces'):
             used['service'] |= {f'/attitude_node/{name}' for name in SIMULATION}
     assert used == {kind: {*names} for kind, names in policy.items()}
+
+
+def by_full_name(topics):
+    return {f'/{topic.name}'.replace('/~', '/attitude_node').replace('//', '/'): topic
+            for topic in topics}
+
+
+def test_the_page_lists_every_cause_of_rejection():
+    assert list(nodes.CAUSES) == list(CAUSES)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(('mode', 'parameters', 'absent'), [
+    ('lockstep', '', ()),
+    ('realtime', 'wheels:=true', ('wheel_command', 'wheel_states', 'accepted_wheel_command')),
+    ('realtime', NAMED, ('wheel_torque', 'rotor_momentum', 'accepted_wheel_torque'))])
+def test_a_node_has_exactly_the_topics_of_the_page(domain, mode, parameters, absent):
+    published, subscribed = by_full_name(nodes.PUBLISHED), by_full_name(nodes.SUBSCRIBED)
+    if parameters:
+        parameters += (' torque_topics:=[torque,disturbance] inertia_topic:=true '
+                       'actuator.topics:=[torque]')
+        published |= by_full_name(nodes.OPTIONAL)
+        subscribed |= by_full_name(nodes.SUBSCRIBED_IF_ENABLED)
+        subscribed['/disturbance'] = subscribed['/torque']
+    found = endpoints(domain, ('attitude_node', 'AttitudeNode'), f'mode:={mode} {parameters}')
+    # A scene has either rotors or named wheels.
+    others = {'tf', 'clock', 'robot_description', 'parameter_events', *absent}
+    for kind, page in (('publisher', published), ('subscriber', subscribed)):
+        topics, expected = ({name: one for name, one in all_.items()
+                             if name.rpartition('/')[2] not in others}
+                            for all_ in (found[kind], page))
+        assert {name: one for name, (one, _) in topics.items()} \
+            == {name: topic.kind for name, topic in expected.items()}
+        for name, (_, profile) in topics.items():
+            qos = expected[name].qos
+            assert ('transient local' in qos) == (profile.durability.name == 'TRANSIENT_LOCAL')
+            # The reliability of torques and commands depends on the mode.
+            is_reliable = mode == 'lockstep' if kind == 'subscriber' and name not in (
+                '/initial_state', '/inertia') else 'reliable' in qos.partition(', keep')[0]
+            assert is_reliable == (profile.reliability.name == 'RELIABLE'), name
+    services = found['service']
+    assert services['/attitude_node/reset'][0] == 'std_srvs/srv/Trigger'
+    assert services.get('/attitude_node/pause', [None])[0] == (
+        'std_srvs/srv/SetBool' if mode == 'lockstep' else None)
