@@ -15,10 +15,9 @@
 """The documentation: its examples run and print what is shown, and its links have targets."""
 
 import ast
-from contextlib import suppress
 import doctest
 from functools import cache
-from importlib import import_module
+from pydoc import locate
 import re
 import subprocess
 import sys
@@ -194,19 +193,14 @@ def described(name, listed):
 def exists(name, names):
     """Return whether a dotted name exists; names that begin with other modules pass."""
     first, *rest = name.split('.')
-    modules = {path.stem for path in PACKAGE.iterdir() if path.suffix in ('', '.py')}
-    if first in names:
-        found = names[first]
-    elif first in {NAME, *dir(rigid_body_ros), *modules}:
-        found, rest = rigid_body_ros, rest if first == NAME else [first, *rest]
-    else:
+    found = names.get(first, rigid_body_ros if first == NAME else locate(f'{NAME}.{first}'))
+    if found is None:
         return True
     for part in rest:
-        if isinstance(found, ModuleType) and not hasattr(found, part):
-            with suppress(ImportError):
-                import_module(f'{found.__name__}.{part}')
         if part in getattr(found, '__annotations__', ()):  # a field of a dataclass
             return part == rest[-1]
+        if isinstance(found, ModuleType):
+            locate(f'{found.__name__}.{part}')  # imports a submodule
         if not hasattr(found, part):
             return False
         found = getattr(found, part)

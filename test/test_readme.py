@@ -14,9 +14,7 @@
 
 """The installed package does what the README says; `test_doc_commands` runs its commands."""
 
-from contextlib import contextmanager
 import os
-from pathlib import Path
 import re
 import shlex
 import signal
@@ -68,40 +66,28 @@ def environment(installed):
             'PATH': os.path.dirname(sys.executable) + os.pathsep + os.environ['PATH']}
 
 
-@contextmanager
-def run(command, installed, domain):
-    """Do what `ros2 run PACKAGE EXECUTABLE ...` does, and leave no process behind."""
-    package, executable, *arguments = shlex.split(command)[2:]
+@pytest.mark.ros
+def test_the_node_of_the_readme_listens_and_is_heard(place, installed, domain, request):
+    pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
+    from geometry_msgs.msg import QuaternionStamped
+    from rclpy.wait_for_message import wait_for_message
+    (command, echo), = (block for block in BLOCKS if 'ros2 topic echo' in block[-1])
+    package, executable, *arguments = shlex.split(command)[2:]  # after `ros2 run`
+    listener = request.getfixturevalue('stranger')
     process = subprocess.Popen(
         [installed / 'lib' / package / executable, *arguments], text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         env={**environment(installed), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-             'ROS_DOMAIN_ID': str(domain), 'ROS_LOG_DIR': str(Path.cwd())})
+             'ROS_DOMAIN_ID': str(domain), 'ROS_LOG_DIR': str(place)})
     try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
-
-
-@pytest.mark.ros
-def test_the_node_of_the_readme_listens_and_is_heard(place, installed, domain):
-    rclpy = pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-    from geometry_msgs.msg import QuaternionStamped
-    from rclpy.wait_for_message import wait_for_message
-    (command, echo), = (block for block in BLOCKS if 'ros2 topic echo' in block[-1])
-    with run(command, installed, domain) as process:
-        context = rclpy.Context()
-        rclpy.init(context=context, domain_id=domain)
-        try:
-            listener = rclpy.create_node('listener', context=context)
-            heard, attitude = wait_for_message(QuaternionStamped, listener, echo.split()[-1],
-                                               time_to_wait=PATIENCE)
-            assert heard
-            assert attitude.header.frame_id == 'world'
-            assert listener.count_subscribers('/wrench') == 1
-        finally:
-            rclpy.shutdown(context=context)
+        heard, attitude = wait_for_message(QuaternionStamped, listener, echo.split()[-1],
+                                           time_to_wait=PATIENCE)
+        assert heard
+        assert attitude.header.frame_id == 'world'
+        assert listener.count_subscribers('/wrench') == 1
         process.send_signal(signal.SIGINT)
         words, _ = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, words
+    finally:
+        process.kill()
+        process.communicate()
