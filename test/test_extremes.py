@@ -14,7 +14,6 @@
 
 """In extreme scenes, every solver is accurate to rounding, or reports that it is not."""
 
-import itertools
 
 from conftest import chord, ROOT, SECOND
 import extremes
@@ -22,7 +21,6 @@ from known import KNOWN
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
-from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Problem, SOLVERS
 from rigid_body_ros.tradeoff.problem import Case, Reference
 from scenes import FIXED_STEP, FULL, FULL_RATES, RESULTS, SCENES
@@ -110,24 +108,6 @@ def test_rotation_about_a_principal_axis_stays_there(axis, solver):
     apart = np.abs(motion.angular_velocity - rates)
     assert not np.delete(apart, axis, axis=1).any()
     assert apart.max() <= 1e-12  # `strang` divides by what it multiplied with
-
-
-@pytest.mark.parametrize('order', list(itertools.permutations(range(3))))
-@pytest.mark.parametrize('torque', [(0.0, 0.0, 0.0), (0.2, -0.1, 0.3)])
-@pytest.mark.parametrize('solver', ['auto', 'taylor'])
-def test_names_of_axes_do_not_matter(order, torque, solver):
-    # Reversing one axis turns an odd permutation into a rotation.
-    matrix = np.eye(3)[list(order)]
-    matrix[0] *= np.linalg.det(matrix)
-    renamed = RigidBody(matrix @ FULL @ matrix.T)
-    log, times = TorqueLog([0], [torque]), np.arange(1, 11) * 10 * SECOND
-    here = propagate(RigidBody(FULL), State(0, angular_velocity=FULL_RATES), log, at=times,
-                     solver=solver)
-    there = propagate(renamed, State(0, angular_velocity=matrix @ FULL_RATES),
-                      TorqueLog([0], [matrix @ torque]), at=times, solver=solver)
-    phase = np.linalg.norm(here.angular_velocity, axis=1).max() * 100.0
-    rotated = so3.matrix(here.attitude) @ matrix.T
-    assert np.abs(matrix @ rotated - so3.matrix(there.attitude)).max() < 1e-15 * (10 + phase)
 
 
 @pytest.mark.parametrize('power', [-300, -40, 40, 300])

@@ -14,16 +14,13 @@
 
 """Compiled kernels and plain Python reproduce every bit of the committed vectors."""
 
-import math
 import os
 import re
 import subprocess
 import sys
 
 from conftest import at_night, ROOT
-import numpy as np
 import pytest
-from rigid_body_ros import GravityGradient, UniformField
 from rigid_body_ros.engine._compiled import LEVELS
 import vectors
 
@@ -59,38 +56,6 @@ def test_what_the_file_has_changed_or_lacks_is_a_difference(tmp_path, line, foun
     assert len(differences) == len(reported)
     for difference, expected in zip(differences, reported):
         assert difference.startswith(name + expected)
-
-
-@pytest.mark.slow
-def test_directions_and_sums_of_fields_are_those_that_the_page_describes(motions):
-    for problem in (motion.problem for motion in motions if motion.problem.fields):
-        record, = problem._fields
-        uniform = [field for field in problem.fields if isinstance(field, UniformField)]
-        pairs = [(field.moment, field.field) for field in uniform]
-        if len(uniform) > 3:
-            pairs = [([sum(field.field[axis] * field.moment[k] for field in uniform)
-                       for k in range(3)], np.eye(3)[axis]) for axis in range(3)]
-        assert record['count'] == len(pairs)
-        for number, (moment, direction) in enumerate(pairs):
-            place = slice(3 * number, 3 * number + 3)
-            assert record['moments'][place].tolist() == list(moment)
-            assert record['fields'][place].tolist() == list(direction)
-        for orbit in problem.fields:
-            if not isinstance(orbit, GravityGradient):
-                continue
-            (x, y, z), (u, v, w) = orbit.position.tolist(), orbit.normal.tolist()
-            along = [v * z - w * y, w * x - u * z, u * y - v * x]
-            if abs(length(along) - 1.0) > 2.0 ** -50:
-                largest = max(map(abs, along))
-                along = [one / largest for one in along]
-                size = length(along)
-                along = [one / size for one in along]
-            assert record['along'].tolist() == along
-            assert record['position'].tolist() == [x, y, z]
-
-
-def length(vector):
-    return math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
 
 
 @pytest.mark.slow
