@@ -26,8 +26,8 @@ START = State(0, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
 FIELDS = [UniformField((0.1, -0.2, 0.3), (0.4, -0.2, -2.5)),
           GravityGradient(0.4, (1.0, 2.0, 3.0), (3.0, 0.0, -1.0)),
           UniformField((-0.3, 0.4, 0.1), (1.5, 0.5, 0.25))]
-#: Four wheels in a pyramid: without friction and limits, with largest speeds, which one of them
-#: exceeds, and also with friction, except for one.
+#: Four wheels in a pyramid. Those of LIMITED have largest speeds, which one of them exceeds. Those
+#: of SLOWED also have friction, except for one.
 FREE = [Wheel(name, axis, 0.05, speed, max_torque=0.3) for name, axis, speed in (
     ('a', (1, 1, 1), 0.0), ('b', (-1, 1, 1), 12.0), ('c', (-1, -1, 1), -3.0),
     ('d', (1, -1, 1), 9.0))]

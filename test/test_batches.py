@@ -63,10 +63,11 @@ def written(path, order, torques=None, frames=('',)):
 def test_stamps_out_of_order_are_put_in_order_and_told(tmp_path, monkeypatch, kind):
     monkeypatch.setattr(torques, '_SAMPLES', 100)
     count, random = 8_000, np.random.default_rng(6)
-    ascending = np.arange(count).reshape(-1, 40)
-    order = {'far': ascending, 'descending': ascending[:, ::-1], 'any': random.permuted(  # twice
-        np.sort(random.integers(0, count, count)).reshape(-1, 40), axis=1)}[kind].ravel()
-    late = [1000, 7000 if kind == 'far' else 1050]  # of another block
+    rows = np.arange(count) if kind != 'any' else np.sort(random.integers(0, count, count))
+    blocks = rows.reshape(-1, 40)  # with 'any', some stamps are equal
+    order = {'far': blocks, 'descending': blocks[:, ::-1],
+             'any': random.permuted(blocks, axis=1)}[kind].ravel()
+    late = [1000, 7000 if kind == 'far' else 1050]  # two rows of different blocks change places
     order[late] = order[late[::-1]]
     path, loaded = tmp_path / 'in.mcap', scene.load(CONFIG / 'tumbler.yaml')
     written(path, order.tolist(), random.normal(scale=1e-3, size=(count, 3)))

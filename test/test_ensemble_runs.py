@@ -170,7 +170,8 @@ def test_a_relative_inertia_is_that_of_a_body_with_its_axes_and_spreads_as_given
     assert np.all(2.0 * moments.max(axis=1) < moments.sum(axis=1))
     spread = np.std(moments, axis=0) / found.problem.body.principal_moments
     assert np.all(spread < fraction * 1.1)
-    assert fraction > 0.1 or np.all(spread > fraction * 0.64)
+    if fraction == 0.05:  # hardly any drawn moments are those of no body
+        assert np.all(spread > fraction * 0.64)
 
 
 @pytest.mark.parametrize(('one', 'values', 'message'), [
@@ -183,6 +184,7 @@ def test_a_relative_inertia_is_that_of_a_body_with_its_axes_and_spreads_as_given
     (Dispersion('torque_gain', 'normal', (1e40,)), {}, 'the'),
     (Dispersion('torque_bias.x', 'normal', (1e308,)), {}, 'torque at'),
     (Dispersion('torque_noise', 'normal', (7e307,)), {}, 'torque at'),
+    (Dispersion('clock_offset', 'normal', (1e10,)), {}, 'clock_offset'),
     (Dispersion('orbit.mean_motion', 'uniform', (-0.1, 0.1)), FIELDS, 'mean'),
     (Dispersion('clock_offset', 'normal', (1e308,)), {}, 'clock_offset'),
     (Dispersion('damping.dyy', 'uniform', (0.0, 1.0)), {'solver': 'strang', 'max_step': 0.1,

@@ -110,7 +110,7 @@ def check(bodies, starts, logs, at=AT, gains=None, wheels=None, fields=(), **opt
             own = [log.with_torques(gains[k] * log.torques)
                    for log in (own if isinstance(own, list) else [own])]
         given = {'wheels': wheels[k] if isinstance(wheels, list) else wheels,
-                 'fields': fields[k] if isinstance((*fields, None)[0], list) else fields}
+                 'fields': fields[k] if fields and isinstance(fields[0], list) else fields}
         try:
             motion = propagate(bodies[k], starts[k], own, at=at, **given, **options)
         except ValueError as error:
