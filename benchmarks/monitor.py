@@ -63,14 +63,15 @@ def noise(random, count, colour, size, memory):
 
 
 def pieces(seed, seconds, colour=0.0, level=1.0, inertia=0.0, bias=(0.0, 0.0, 0.0), friction=0.0,
-           mount=(0.0, 0.0, 0.0), rates=(TORQUE_HZ, MOCAP_HZ, GYRO_HZ), piece=PIECE):
+           mount=(0.0, 0.0, 0.0), rates=(TORQUE_HZ, MOCAP_HZ, GYRO_HZ), piece=PIECE,
+           actuator=None):
     """
     Generate what was logged in each piece: torques, and stamps and values of mocap and gyro.
 
     The noise is `level` times the nominal noise. The relative error of the inertia is `inertia`. A
     torque `bias` and friction act in addition to the logged torque. The gyro is turned by `mount`.
     `rates` are those of torques, mocap and gyro, Hz; the gyro's is a multiple of the mocap's. A
-    piece lasts for `piece`, s.
+    piece lasts for `piece`, s. An `actuator` begins each piece without a torque.
     """
     random, memories = np.random.default_rng(seed), np.zeros((2, 1, 3))
     torque_hz, mocap_hz, gyro_hz = rates
@@ -81,7 +82,7 @@ def pieces(seed, seconds, colour=0.0, level=1.0, inertia=0.0, bias=(0.0, 0.0, 0.
         end_ns = begin_ns + piece * SECOND
         times_ns = np.arange(begin_ns, end_ns, SECOND // torque_hz)
         torques = random.normal(size=(len(times_ns), 3)) * PULSE - BRAKE * state.angular_velocity
-        problem = Problem(body, state, TorqueLog(times_ns, torques)).biased(
+        problem = Problem(body, state, TorqueLog(times_ns, torques), actuator=actuator).biased(
             np.array(bias), end_ns + SECOND)
         at_ns = np.arange(begin_ns, end_ns, SECOND // gyro_hz)
         motion = problem.propagate(at=np.append(at_ns, end_ns))

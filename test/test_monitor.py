@@ -20,7 +20,7 @@ import sys
 from conftest import at_night, EPOCH_NS, ROOT, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import Actuator, Problem, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import Actuator, Problem, RigidBody, State, TorqueLog
 from rigid_body_ros.inference.monitor import ERROR, Monitor, monitored, Settings
 from rigid_body_ros.inference.noise import NoiseLevel
 from rigid_body_ros.recording.measured import Measured
@@ -38,15 +38,21 @@ PATIENT = Settings(5.0, campaign.HISTORY, campaign.ATTITUDE_NOISE, campaign.RATE
 
 
 @cache
-def messages(seconds=120, error=None, bias=(0.0, 0.0, 0.0)):
+def messages(seconds=120, error=None, **options):
     """Return torques and measurements: time, method of `Monitor`, and its arguments."""
     found = []
     for torques, mocap, gyro in campaign.pieces(3, seconds, **campaign.ERRORS.get(
-            error, {'bias': bias})):
-        found += [(time_ns, 'torque', torque) for time_ns, torque in zip(torques[0], torques[1])]
+            error, options)):
+        found += [(time_ns, 'torque', torque) for time_ns, torque in zip(*torques)]
         found += [(time_ns, '/mocap', attitude) for time_ns, attitude in zip(*mocap)]
         found += [(time_ns, '/gyro', rate) for time_ns, rate in zip(*gyro)]
     return [(EPOCH_NS + int(time_ns), name, values) for time_ns, name, values in found]
+
+
+def late(found):
+    """Return messages that arrive up to half a second late, in the order of arrival."""
+    random = np.random.default_rng(5)
+    return sorted(found, key=lambda message: message[0] + int(random.integers(0, SECOND // 2)))
 
 
 def ascending(found, without=(0, 0)):
@@ -134,12 +140,10 @@ def test_the_residual_torque_is_the_torque_that_is_not_logged():
 @pytest.mark.slow
 def test_the_order_of_arrival_changes_no_bit():
     found = ascending(messages(60))
-    random = np.random.default_rng(5)
-    late = sorted(found, key=lambda message: message[0] + int(random.integers(0, SECOND // 2)))
     settings = PATIENT._replace(history=1.0)
     expected = judged(found, settings)
     assert len(expected) >= 10
-    for order, step in ((late, 1), (late, 333), (found, 7)):
+    for order, step in ((late(found), 1), (late(found), 333), (found, 7)):
         np.testing.assert_array_equal(numbers(judged(order, settings, step=step)),
                                       numbers(expected))
 
@@ -210,38 +214,19 @@ def test_windows_in_which_torques_begin_or_are_lost_are_skipped():
         assert monitor.skipped == {'lost': 1, 'torque not known yet': 3 - len(judged_first)}
 
 
-def lagging(actuator, seconds=60):
-    """Return the problem of a body under lagging torques, and measurements of its motion."""
-    random = np.random.default_rng(9)
-    times_ns = EPOCH_NS + np.arange(0, seconds * SECOND, SECOND // 20)
-    at_ns = EPOCH_NS + np.arange(0, seconds * SECOND, SECOND // 100)
-    state = State(EPOCH_NS, angular_velocity=(0.3, -0.2, 0.4))
-    problem = Problem(BODY, state, TorqueLog(times_ns, random.normal(size=(len(times_ns), 3))
-                                             * campaign.PULSE), actuator=actuator)
-    motion = problem.propagate(at=at_ns)
-    turned = so3.exp(random.normal(size=(len(at_ns), 3)) * campaign.ATTITUDE_NOISE)
-    rates = motion.angular_velocity + random.normal(size=(len(at_ns), 3)) * campaign.RATE_NOISE
-    return problem, [Measured('/mocap', at_ns, so3.multiply(motion.attitude, turned), None),
-                     Measured('/gyro', at_ns, None, rates)]
-
-
 @pytest.mark.slow
 def test_the_lag_of_an_actuator_is_part_of_the_model_with_the_bits_of_the_offline_twin():
     # The limit matters, and the lag lasts longer than a window.
-    actuator = Actuator(0.04, 0.3, (5e-3, 5e-3, 4e-3))
-    problem, (mocap, gyro) = lagging(actuator)
-    twin = [*monitored(problem, [mocap, gyro], PATIENT._replace(history=1.0))]
+    actuator, settings = Actuator(0.04, 0.3, (5e-3, 5e-3, 4e-3)), PATIENT._replace(history=1.0)
+    (torques, mocap, gyro), = campaign.pieces(3, 60, actuator=actuator)
+    log = TorqueLog(EPOCH_NS + torques[0], torques[1])
+    twin = [*monitored(Problem(BODY, State(EPOCH_NS), log, actuator=actuator), [
+        Measured('/mocap', EPOCH_NS + mocap[0], mocap[1], None),
+        Measured('/gyro', EPOCH_NS + gyro[0], None, gyro[1])], settings)]
     assert len(twin) >= 10
     assert not any(one.level == ERROR for one in twin)
-    log, = problem.logs
-    found = [*((time_ns, 'torque', torque) for time_ns, torque in zip(log.times_ns, log.torques)),
-             *((time_ns, '/mocap', attitude)
-               for time_ns, attitude in zip(mocap.stamps_ns, mocap.attitude)),
-             *((time_ns, '/gyro', rate)
-               for time_ns, rate in zip(gyro.stamps_ns, gyro.angular_velocity))]
-    random = np.random.default_rng(5)
-    found.sort(key=lambda message: message[0] + int(random.integers(0, SECOND // 2)))
-    settings, scene = PATIENT._replace(history=1.0), Problem(BODY, State(0), actuator=[actuator])
+    found = late(messages(60, actuator=actuator))
+    scene = Problem(BODY, State(0), actuator=[actuator])
     for step in (1, 555):
         live = judged(found, settings, scene, step, [actuator])
         np.testing.assert_array_equal(numbers(live), numbers(twin)[:len(live)])
