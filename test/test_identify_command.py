@@ -36,6 +36,7 @@ from rigid_body_ros.report.text import rounded
 from scipy.spatial.transform import Rotation
 from tumbling import shifted, Truth
 
+pytestmark = pytest.mark.slow
 GUESS = np.diag([0.03, 0.03, 0.03])
 
 
@@ -78,7 +79,6 @@ def fitted(tmp_path_factory):
     return folder, *found, printed.getvalue().splitlines()
 
 
-@pytest.mark.slow
 def test_from_a_recording_to_a_fitted_scene(fitted, tmp_path):
     folder, data, found, shown = fitted
     assert (folder / 'errors.png').read_bytes().startswith(b'\x89PNG')
@@ -105,7 +105,6 @@ def check_digits(shown, found):
         assert one['unit'] != unit or factor == 1.0
 
 
-@pytest.mark.slow
 def test_the_page_has_the_estimates_and_the_errors_that_are_left(fitted):
     folder, *_, shown = fitted
     text = (folder / 'page.html').read_text(encoding='utf-8')
@@ -134,7 +133,6 @@ def test_the_page_has_the_estimates_and_the_errors_that_are_left(fitted):
     assert '<title>inertia.ixx and inertia.iyy: ' in text
 
 
-@pytest.mark.slow
 def test_measured_and_computed_curves_are_over_each_other_and_outliers_are_marks(tmp_path):
     truth, report = measurements.truth(), tmp_path / 'page.html'
     clean = truth.measured(2e-3, 5e-3)
@@ -171,7 +169,6 @@ def test_rounding_to_an_uncertainty(value, sigma, text):
     assert rounded(value, sigma) == text
 
 
-@pytest.mark.slow
 def test_two_recordings(tumble):
     truth = measurements.truth(seed=2)
     record(tumble / 'other.mcap', truth, truth.measured(2e-3, 5e-3, seed=1))
@@ -185,7 +182,6 @@ def test_two_recordings(tumble):
     assert errors[label]['curves'] != errors[f'recording 2, {label}']['curves']
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('names', 'limit'), [('start', 22.0), ('torque_gain', 10.0)])
 def test_only_a_fitted_speed_is_plausible(tmp_path, names, limit):
     fast = measurements.truth(seconds=2.0, rates=(2.0, 3.0, 22.0))
@@ -196,7 +192,6 @@ def test_only_a_fitted_speed_is_plausible(tmp_path, names, limit):
     assert len(scene.Scene.from_values(degrees).warnings) == 1
 
 
-@pytest.mark.slow
 def test_a_part_gives_the_state_at_its_beginning(tumble, capsys):
     data, fitted = results(tumble, '--from', '5.03', '--until', '15', '--degrees')
     check_digits(capsys.readouterr().out.splitlines(), data['estimates'])
@@ -207,7 +202,6 @@ def test_a_part_gives_the_state_at_its_beginning(tumble, capsys):
     np.testing.assert_allclose(fitted.body.inertia, INERTIA, atol=5e-4)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('copied', [os.symlink, record])
 def test_the_same_measurements_twice_are_not_independent(tumble, capsys, copied):
     one, two = tumble / 'in.mcap', tumble / 'copy.mcap'
@@ -223,7 +217,6 @@ def test_the_same_measurements_twice_are_not_independent(tumble, capsys, copied)
     assert not (tumble / 'fitted.yaml').exists()
 
 
-@pytest.mark.slow
 def test_an_incomplete_answer_has_exit_status_3_and_no_scene(tumble, capsys):
     outputs = [tumble / name for name in ('fitted.yaml', 'out.json', 'errors.png', 'page.html')]
     options = ['--estimate', 'inertia,start,torque_gain', *(
@@ -241,7 +234,6 @@ def test_an_incomplete_answer_has_exit_status_3_and_no_scene(tumble, capsys):
     assert '# torque_gain: ' in outputs[0].read_text()
 
 
-@pytest.mark.slow
 def test_a_flywheel_weighs_a_thrown_drone(tmp_path):
     spin = 0.05 * np.clip(np.arange(61) / 10 - 1.0, 0.0, 3.0) / 3.0
     truth = Truth(seconds=6.0, amplitude=0.0, momentum=np.outer(spin, [0.6, 0.5, 0.6]),
@@ -285,7 +277,6 @@ def test_a_fitted_weight_is_a_field_of_the_fitted_scene(tmp_path):
         estimates['weight.x']['sigma'], rel=0.6)
 
 
-@pytest.mark.slow
 def test_a_fitted_body_is_a_urdf_with_the_same_numbers(tumble, capsys):
     urdf, out, guess = (tumble / name for name in ('fitted.urdf', 'out.json', 'guess.yaml'))
     # The names in a URDF lack the prefix, which robot_state_publisher adds.
@@ -324,7 +315,6 @@ def test_unknown_names_to_estimate(tumble, capsys, text):
     assert '--estimate: expected' in capsys.readouterr().err
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('inertia', 'status'), [(1.0, 0), (1.5, 4)])
 def test_a_check_says_by_its_exit_status_whether_the_model_is_right(tmp_path, capsys, inertia,
                                                                     status):

@@ -15,9 +15,9 @@
 """A live check of a model: true and false alarms, and any order of arrival."""
 
 from functools import cache
-import sys
 
-from conftest import at_night, EPOCH_NS, ROOT, SECOND
+from conftest import at_night, EPOCH_NS, SECOND
+import monitor as campaign
 import numpy as np
 import pytest
 from rigid_body_ros import Actuator, Problem, RigidBody, State, TorqueLog
@@ -27,12 +27,10 @@ from rigid_body_ros.recording.measured import Measured
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-sys.path.insert(0, str(ROOT / 'benchmarks'))
-import monitor as campaign  # noqa: E402, I100
-
+pytestmark = pytest.mark.slow
 BODY = RigidBody(campaign.INERTIA)
-#: Errors of the model, divided into those tested in every run and the others.
-FIRST, LATER = [*campaign.ERRORS][:1], [*campaign.ERRORS][1:]
+#: The error of the model that is tested in every run, and the others.
+FIRST, *LATER = campaign.ERRORS
 #: Settings with a history that is long enough for messages in any order.
 PATIENT = Settings(5.0, campaign.HISTORY, campaign.ATTITUDE_NOISE, campaign.RATE_NOISE, 24.0)
 
@@ -92,7 +90,6 @@ def windows(judgements):
     return [(one.error.end_ns - EPOCH_NS) // (5 * SECOND) + 1 for one in judgements]
 
 
-@pytest.mark.slow
 def test_an_attitude_that_nobody_fills_is_no_error_of_the_model():
     monitor = Monitor(Problem(BODY, State(0)), PATIENT)
     for time_ns, name, values in messages(120):
@@ -106,7 +103,6 @@ def test_an_attitude_that_nobody_fills_is_no_error_of_the_model():
     assert monitor.notes['/imu'].startswith('the attitude is not used: it is [0.0, 0.0, 0.0, 1.0]')
 
 
-@pytest.mark.slow
 def test_the_errors_of_a_right_model_have_the_stated_covariance_and_give_no_alarm():
     judgements = judged(messages(660))
     assert not any(one.level == ERROR for one in judgements)
@@ -121,13 +117,11 @@ def test_the_errors_of_a_right_model_have_the_stated_covariance_and_give_no_alar
         assert 1e-3 < share < 1.0 - 1e-3
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('name', [*FIRST, *at_night(*LATER)])
+@pytest.mark.parametrize('name', [FIRST, *at_night(*LATER)])
 def test_an_error_of_the_model_is_found(name):
     assert any(one.level == ERROR for one in judged(messages(420, name)))
 
 
-@pytest.mark.slow
 def test_the_residual_torque_is_the_torque_that_is_not_logged():
     bias = np.array([1e-4, -5e-5, 2e-5])
     found = judged(messages(120, bias=tuple(bias.tolist())))
@@ -137,7 +131,6 @@ def test_the_residual_torque_is_the_torque_that_is_not_logged():
     assert np.abs((torques - bias) / sigma).max() < 5.0
 
 
-@pytest.mark.slow
 def test_the_order_of_arrival_changes_no_bit():
     found = ascending(messages(60))
     settings = PATIENT._replace(history=1.0)
@@ -148,7 +141,6 @@ def test_the_order_of_arrival_changes_no_bit():
                                       numbers(expected))
 
 
-@pytest.mark.slow
 def test_a_message_of_a_window_that_was_judged_is_rejected():
     found = ascending(messages(60))
     monitor = Monitor(Problem(BODY, State(0)), PATIENT._replace(history=1.0))
@@ -161,7 +153,6 @@ def test_a_message_of_a_window_that_was_judged_is_rejected():
     assert not put(monitor, EPOCH_NS + 3 * SECOND, 'torque', np.ones(3))
 
 
-@pytest.mark.slow
 def test_memory_is_bounded():
     monitor = Monitor(Problem(BODY, State(0)), PATIENT._replace(history=1.0))
     sizes, aside = [], []
@@ -176,7 +167,6 @@ def test_memory_is_bounded():
     assert max(aside) == max(aside[-6000:]) == 120 * per_second
 
 
-@pytest.mark.slow
 def test_a_torque_that_is_not_known_is_no_error_of_the_model():
     found = ascending(messages(120), (EPOCH_NS + 32 * SECOND, EPOCH_NS + 48 * SECOND))
     settings = PATIENT._replace(history=1.0)
@@ -189,7 +179,6 @@ def test_a_torque_that_is_not_known_is_no_error_of_the_model():
         assert windows(judgements) == [2, 3, 4, 5, 6, *range(11, 24)]
 
 
-@pytest.mark.slow
 def test_a_window_waits_until_it_is_known_whether_the_last_torque_was_followed():
     # The sixth window ends at 29.9 s. The next torque follows 0.9 s or 1.1 s after its last.
     for next_s, is_judged in ((30.4, True), (30.6, False)):
@@ -200,7 +189,6 @@ def test_a_window_waits_until_it_is_known_whether_the_last_torque_was_followed()
             2, 3, 4, 5, *[6] * is_judged, *[7] * is_judged, 8, 9, 10, 11, 12]
 
 
-@pytest.mark.slow
 def test_windows_in_which_torques_begin_or_are_lost_are_skipped():
     # Before the first torque, no torque acts, or the torque is unknown.
     for awaited, judged_first in ((), [1, 2]), ({0}, []):
@@ -214,7 +202,6 @@ def test_windows_in_which_torques_begin_or_are_lost_are_skipped():
         assert monitor.skipped == {'lost': 1, 'torque not known yet': 3 - len(judged_first)}
 
 
-@pytest.mark.slow
 def test_the_lag_of_an_actuator_is_part_of_the_model_with_the_bits_of_the_offline_twin():
     # The limit matters, and the lag lasts longer than a window.
     actuator, settings = Actuator(0.04, 0.3, (5e-3, 5e-3, 4e-3)), PATIENT._replace(history=1.0)
@@ -233,7 +220,6 @@ def test_the_lag_of_an_actuator_is_part_of_the_model_with_the_bits_of_the_offlin
     assert any(one.level == ERROR for one in judged(found, settings))  # without the actuator
 
 
-@pytest.mark.slow
 def test_a_silent_sensor_is_no_error_of_the_model():
     found = [message for message in messages(180)
              if message[1] != '/mocap' or message[0] < EPOCH_NS + 60 * SECOND]
