@@ -32,6 +32,7 @@ from rigid_body_ros import (
     UniformField,
     Wheel,
 )
+from rigid_body_ros.mechanics import so3
 import truth
 
 _HERE = Path(__file__).resolve().parent
@@ -40,6 +41,9 @@ TRUTH, TRUTH_OF_FIELDS, TRUTH_OF_LOOPS = (
 NAMES, NAMES_OF_FIELDS = (sorted(path.stem for path in folder.glob('*.json'))
                           for folder in (TRUTH, TRUTH_OF_FIELDS))
 SECOND = 10 ** 9
+#: Change of the start, rad, with which `magnification` measures the sensitivity. The motions stay
+#: close even if it is magnified by 1e9, and rounding is at most a ten-thousandth of it.
+_CHANGE = 1e-11
 
 
 def problem_of(values, **options):
@@ -104,6 +108,40 @@ def bound_at(times_ns, run, start_ns, count=20_001):
     """Return `bound` at ascending times, for the motion that `run` computes at close times."""
     fine = np.union1d(times_ns, np.linspace(start_ns, times_ns[-1], count).astype(np.int64))
     return bound(run(fine))[np.searchsorted(fine, times_ns)]
+
+
+def magnification(run, start, times_ns):
+    """
+    Return by how much a motion magnifies a change of its start, at least 1, by time, shape (m,).
+
+    Each coordinate of the start is changed by 1e-11 in both directions. The coordinates are a
+    rotation about each body axis, rad, and each component of the angular velocity, relative to the
+    largest rate of the motion. The differences of the changed motions, divided by the differences
+    of their starts, form a 6 by 6 matrix for each time. The result is its largest singular value.
+
+    Parameters
+    ----------
+    run : callable
+        Returns the motion from a start at times, ns.
+    start : State
+        The start that is changed.
+    times_ns : array of int, shape (m,)
+        The times of the result.
+
+    """
+    speed = np.linalg.norm(run(start, times_ns).angular_velocity, axis=1).max()
+    columns = []
+    for change in _CHANGE * np.eye(6):
+        one, other = (run(_moved(start, sign * change, speed), times_ns) for sign in (1.0, -1.0))
+        turned = so3.log(so3.multiply(so3.conjugate(other.attitude), one.attitude))
+        rates = (one.angular_velocity - other.angular_velocity) / speed
+        columns.append(np.hstack([turned, rates]) / (2.0 * _CHANGE))
+    return np.maximum(1.0, np.linalg.norm(np.stack(columns, axis=-1), 2, axis=(1, 2)))
+
+
+def _moved(start, change, speed):
+    return State(start.time_ns, so3.multiply(start.attitude, so3.exp(change[:3])),
+                 start.angular_velocity + speed * change[3:], start.rotor_momentum)
 
 
 def relative(found, expected):

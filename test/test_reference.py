@@ -17,7 +17,6 @@
 import json
 
 from conftest import chord, RECORDINGS, Reference
-import fields
 import numpy as np
 import pytest
 from rigid_body_ros import State
@@ -74,7 +73,7 @@ def test_no_second_of_the_pendulum_loses_more_than_it_magnifies():
         start, at = State(begin_ns, attitudes[row].astype(float), rates[row].astype(float)), \
             np.array([end_ns])
         limit = terms.bound_at(at, lambda at, start=start: scene.propagate(at, start), begin_ns,
-                               5001) * fields.magnification(
+                               5001) * terms.magnification(
             lambda start, at: scene.propagate(at, start), start, at)
         motion = scene.propagate(at, start)
         assert truth.chord(attitudes[row + 1], motion.attitude[0]) <= limit
