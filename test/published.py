@@ -23,25 +23,12 @@ import csv
 from functools import cache
 import os
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from conftest import chord, EPOCH_NS, Reference, SECOND
 from known import damped_sphere, dual_spin, gyrostat, landau_zener, period, TOPS
 import numpy as np
-from rigid_body_ros import (
-    Experiment,
-    identify,
-    Measured,
-    messages,
-    propagate,
-    recording,
-    RigidBody,
-    scene,
-    State,
-    TorqueLog,
-)
+from rigid_body_ros import Experiment, identify, Measured, propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import euler, so3
-from rigid_body_ros.replay import replay
 
 
 class DataNotHereError(Exception):
@@ -147,7 +134,9 @@ def brick_log():
 def brick():
     """Return the largest errors of the brick: attitude, degrees, and rates, degrees/s."""
     times, moments, attitude, spin = brick_log()
-    motion = brick_motion(times, moments)
+    start = State(int(times[0]), angular_velocity=np.radians((10.0, 20.0, 30.0)))
+    log = TorqueLog(times, moments, interpolation='cubic')
+    motion = propagate(RigidBody.from_moments(*BRICK), start, log, at=times)
     apart = so3.angle_between(attitude, motion.attitude)
     return (np.degrees(apart.max()),
             np.degrees(np.abs(motion.angular_velocity - spin).max()))
@@ -163,20 +152,6 @@ def brick_inertia():
     found = identify(sphere, Experiment(start, log, [measured])).body.inertia
     error = np.abs(found - np.diag(BRICK)).max() / max(BRICK)
     return f'{BRICK[2]:.9f}', f'{found[2, 2]:.9f}', float(error)
-
-
-def brick_motion(times_ns, moments):
-    body = scene.Scene.from_values({
-        'inertia.ixx': BRICK[0], 'inertia.iyy': BRICK[1], 'inertia.izz': BRICK[2],
-        **{f'initial_angular_velocity.{axis}': np.radians(rate)
-           for axis, rate in zip('xyz', (10.0, 20.0, 30.0))}})
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / 'brick.mcap'
-        with recording.Writer(path) as writer:
-            writer.add_topic('/moment', messages.WRENCH)
-            for time_ns, moment in zip(times_ns.tolist(), moments):
-                writer.write('/moment', time_ns, messages.wrench(time_ns, 'base_link', moment))
-        return replay(path, body, interpolation='cubic').trajectory
 
 
 def brick_rows():
