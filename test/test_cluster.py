@@ -75,6 +75,13 @@ def listening(process):
     return {one.laddr.ip for one in process.net_connections('inet') if one.status == 'LISTEN'}
 
 
+@pytest.fixture
+def error_of(inputs, refusal):
+    """Return a function that returns the error of an ensemble on a scheduler."""
+    return lambda scheduler: refusal(
+        'attitude_ensemble', *arguments(inputs, 'out', 10, '--scheduler', scheduler))
+
+
 @contextmanager
 def begun(inputs, scheduler, *more):
     """Start an ensemble in a process, and wait until it has some blocks but not all."""
@@ -137,23 +144,23 @@ def test_what_kills_every_worker_ends(scheduler):
 
 
 @pytest.mark.slow
-def test_other_versions_are_rejected(inputs, scheduler, capsys, monkeypatch):
+def test_other_versions_are_rejected(scheduler, error_of, monkeypatch):
     versions = cluster._versions()
     monkeypatch.setattr(cluster, '_versions', lambda: {**versions, 'numpy': '0.1'})
     assert (f'{socket.gethostname()}: expected the versions of this command, numpy 0.1, found '
-            f'{versions["numpy"]}') in error_of(capsys, inputs, scheduler)
+            f'{versions["numpy"]}') in error_of(scheduler)
 
 
 @pytest.mark.slow
-def test_a_worker_is_no_scheduler(inputs, scheduler, capsys):
+def test_a_worker_is_no_scheduler(scheduler, error_of):
     with cluster.connected(str(scheduler), print) as connection:
         worker = next(iter(connection.client.nthreads()))
     assert f'{worker}: expected a Dask scheduler, found a worker' \
-        in error_of(capsys, inputs, worker)
+        in error_of(worker)
 
 
 @pytest.mark.slow
-def test_a_worker_without_the_package_survives(inputs, capsys, tmp_path):
+def test_a_worker_without_the_package_survives(error_of, tmp_path):
     file = tmp_path / 'scheduler.json'
     script = ("import sys; sys.modules['rigid_body_ros'] = None; "
               'from distributed.cli.dask_{} import main; main()')
@@ -163,7 +170,7 @@ def test_a_worker_without_the_package_survives(inputs, capsys, tmp_path):
         wait_for(file.exists)
         wait_for(lambda: listening(worker))
         assert 'a worker cannot import what it needs of rigid_body_ros' \
-            in error_of(capsys, inputs, file)
+            in error_of(file)
         assert worker.is_running()
 
 
@@ -189,32 +196,25 @@ def test_workers_may_join_later(inputs, tmp_path):
     ('{', 'expected JSON, found an error'),
     ('{"address": 5}', 'address: expected one such as tcp://HOST:PORT, found 5'),
 ], ids=['missing', 'damaged', 'number'])
-def test_bad_files(inputs, capsys, text, message):
+def test_bad_files(inputs, error_of, text, message):
     if text is not None:
         (inputs / 'scheduler.json').write_text(text)
     assert f'{inputs / "scheduler.json"}: {message}' \
-        in error_of(capsys, inputs, inputs / 'scheduler.json')
+        in error_of(inputs / 'scheduler.json')
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('listens', [False, True])
-def test_nothing_replies_at_an_address(inputs, capsys, monkeypatch, listens):
+def test_nothing_replies_at_an_address(error_of, monkeypatch, listens):
     monkeypatch.setattr(cluster, '_PATIENCE', 0.2)
     with socket.create_server(('127.0.0.1', 0)) as silent:
         address = f'127.0.0.1:{silent.getsockname()[1]}'
         if not listens:
             silent.close()
         assert f'{address}: expected a Dask scheduler, found no reply within 0.2 s' \
-            in error_of(capsys, inputs, address)
+            in error_of(address)
     assert "pigeon: cannot connect to a Dask scheduler: unknown address scheme 'carrier'" \
-        in error_of(capsys, inputs, 'carrier://pigeon')
-
-
-def error_of(capsys, inputs, scheduler):
-    assert main.attitude_ensemble(arguments(inputs, 'out', 10, '--scheduler', scheduler)) == 2
-    line, = capsys.readouterr().err.strip().splitlines()
-    assert line.startswith('attitude_ensemble: error: ')
-    return line
+        in error_of('carrier://pigeon')
 
 
 def test_threads_and_a_scheduler_exclude_each_other(inputs, capsys):

@@ -23,7 +23,6 @@ from live_session import LiveSession
 import pytest
 from rcl_interfaces.srv import ListParameters
 from rigid_body_ros import scene
-from rigid_body_ros.commands import main
 from test_scene import SHARED
 
 pytestmark = pytest.mark.ros
@@ -84,14 +83,12 @@ MONITOR = 'monitor.measured:=[/imu] monitor.attitude_noise:=1e-3 monitor.rate_no
 
 @pytest.mark.parametrize(('command', 'parameters', 'message'), [
     (command, *row) for command, rows in MISTAKES.items() for row in rows])
-def test_a_mistake_is_reported_in_one_line(monkeypatch, capsys, domain, command, parameters,
+def test_a_mistake_is_reported_in_one_line(monkeypatch, refusal, domain, command, parameters,
                                            message):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     words = [word for one in parameters.replace('MONITOR', MONITOR).split()
              for word in (('--params-file', str(TUMBLER)) if one == 'FILE' else ('-p', one))]
-    assert getattr(main, command)(['--ros-args', *words]) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert line.startswith(f'{command}: error: {message}')
+    assert refusal(command, '--ros-args', *words).startswith(f'{command}: error: {message}')
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [
@@ -106,13 +103,12 @@ def test_a_process_with_a_mistake_ends_with_status_2(domain, arguments, message)
     assert message in line
 
 
-def test_a_transform_needs_its_message(monkeypatch, capsys, domain):
+def test_a_transform_needs_its_message(monkeypatch, refusal, domain):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     monkeypatch.setitem(sys.modules, 'tf2_msgs', None)
-    assert main.attitude_node(['--ros-args', '--params-file', str(TUMBLER),
-                               '-p', 'publish_tf:=true']) == 2
-    assert capsys.readouterr().err == ('attitude_node: error: publish_tf: needs the package '
-                                       'tf2_msgs, which is not installed\n')
+    assert refusal('attitude_node', '--ros-args', '--params-file', TUMBLER,
+                   '-p', 'publish_tf:=true') == (
+        'attitude_node: error: publish_tf: needs the package tf2_msgs, which is not installed')
 
 
 def test_a_node_logs_parameters_of_other_nodes_once_and_has_none_of_them(tmp_path, domain):

@@ -340,7 +340,7 @@ def test_a_replay_reports_what_exceeds_the_limits_of_wheels(limited):
 
 
 @pytest.mark.slow
-def test_compare_and_identify_know_the_wheels(tmp_path, flight, capsys):
+def test_compare_and_identify_know_the_wheels(tmp_path, flight, scene_with, capsys):
     arguments = [str(flight), '--scene', str(SCENE)]
     assert main.attitude_compare([*arguments, '--json', str(tmp_path / 'found.json')]) == 0
     found = json.loads((tmp_path / 'found.json').read_text())
@@ -352,12 +352,10 @@ def test_compare_and_identify_know_the_wheels(tmp_path, flight, capsys):
     again = scene.load(fitted)
     np.testing.assert_allclose(again.body.inertia, scene.load(SCENE).body.inertia, atol=1e-11)
     assert [wheel.name for wheel in again.named_wheels] == [*WHEELS]
-    capsys.readouterr()
-    slowed = tmp_path / 'slowed.yaml'
-    slowed.write_text(SCENE.read_text() + '    rw_x.friction: 1.0e-5\n')
+    slowed = scene_with('rw_x.friction: 1.0e-5', base=SCENE)
     for command, option in ((main.attitude_compare, []), (main.attitude_identify, []),
                             (main.attitude_tradeoff, ['--recording'])):
-        assert command([*option, str(flight), '--scene', str(slowed)]) == 2
+        assert command([*option, str(flight), '--scene', slowed]) == 2
         assert 'wheels: expected none with friction, which only a propagation computes, found ' \
             'rw_x' in capsys.readouterr().err
 
