@@ -263,14 +263,24 @@ class Reference:
     def propagate(self, **options):
         return propagate(self.scene.body, self.start, self.log, at=self.times_ns, **options)
 
-    def phase(self):
-        """Return the integral of |w| dt, rad, from the start to each time of the reference."""
-        times = np.union1d(self.times_ns, np.linspace(
-            0, self.times_ns[-1] - self.times_ns[0], 20_001).astype(np.int64) + self.times_ns[0])
-        motion = propagate(self.scene.body, self.start, self.log, at=times)
-        speed = np.linalg.norm(motion.angular_velocity, axis=1)
-        pieces = 0.5 * (speed[1:] + speed[:-1]) * np.diff(times) * 1e-9
-        return np.append(0.0, np.cumsum(pieces))[np.searchsorted(times, self.times_ns)]
+    def bound(self):
+        """Return the bound on the errors, rad, at the times of the reference."""
+        return bound_at(self.times_ns, lambda at: propagate(
+            self.scene.body, self.start, self.log, at=at), self.start.time_ns)
+
+
+def bound(motion):
+    """Return 1e-15 (10 + integral of |w| dt), by time, for a motion at close times."""
+    speed = np.linalg.norm(motion.angular_velocity, axis=1)
+    turned = 0.5 * (speed[1:] + speed[:-1]) * np.diff(motion.times_ns) / 1e9
+    return 1e-15 * (10.0 + np.append(0.0, np.cumsum(turned)))
+
+
+def bound_at(times_ns, run, start_ns, count=20_001):
+    """Return `bound` at ascending times, for the motion that `run` computes at close times."""
+    fine = np.union1d(times_ns, start_ns + np.linspace(
+        0, times_ns[-1] - start_ns, count).astype(np.int64))
+    return bound(run(fine))[np.searchsorted(fine, times_ns)]
 
 
 def chord(p, q):

@@ -18,6 +18,7 @@ from functools import cached_property
 import json
 from pathlib import Path
 
+from conftest import bound_at
 import numpy as np
 from rigid_body_ros import (
     Actuator,
@@ -95,19 +96,6 @@ class Reference:
     def bound(self):
         """Return the bound on the errors at each time, rad or relative, shape (m,)."""
         return bound_at(self.times_ns, self.propagate, 0)
-
-
-def bound(motion):
-    """Return 1e-15 (10 + integral of |w| dt), by time, for a motion at close times."""
-    speed = np.linalg.norm(motion.angular_velocity, axis=1)
-    turned = 0.5 * (speed[1:] + speed[:-1]) * np.diff(motion.times_ns) / 1e9
-    return 1e-15 * (10.0 + np.append(0.0, np.cumsum(turned)))
-
-
-def bound_at(times_ns, run, start_ns, count=20_001):
-    """Return `bound` at ascending times, for the motion that `run` computes at close times."""
-    fine = np.union1d(times_ns, np.linspace(start_ns, times_ns[-1], count).astype(np.int64))
-    return bound(run(fine))[np.searchsorted(fine, times_ns)]
 
 
 def magnification(run, start, times_ns):

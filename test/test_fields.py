@@ -17,7 +17,7 @@
 from dataclasses import replace
 import re
 
-from conftest import chord, EPOCH_NS
+from conftest import bound, chord, EPOCH_NS
 from mpmath import mp
 import numpy as np
 from parts import BODY, FIELDS, START
@@ -84,7 +84,7 @@ FINE = np.arange(201) * SECOND // 20
 def assert_close(one, other):
     """Assert that two problems have the same motion, up to rounding as the motion magnifies it."""
     motion, found = (problem.propagate(at=FINE) for problem in (one, other))
-    limits = terms.bound(motion) * terms.magnification(
+    limits = bound(motion) * terms.magnification(
         lambda start, at: one.replaced(start=start).propagate(at=at), one.start, FINE)
     speed = np.linalg.norm(motion.angular_velocity, axis=1).max()
     apart = np.linalg.norm(motion.angular_velocity - found.angular_velocity, axis=1)

@@ -16,7 +16,7 @@
 
 import json
 
-from conftest import chord, RECORDINGS, Reference
+from conftest import bound_at, chord, RECORDINGS, Reference
 import numpy as np
 import pytest
 from rigid_body_ros import State
@@ -41,7 +41,7 @@ def test_every_reference_motion_is_here():
 def test_recorded_motions(name, solver):
     reference = Reference(name)
     motion = reference.propagate(solver=solver)
-    bound = AMPLIFYING.get(name, 1e-15 * (10.0 + reference.phase()))
+    bound = AMPLIFYING.get(name, reference.bound())
     assert np.all(chord(reference.attitude, motion.attitude) <= bound)
     fastest = np.linalg.norm(reference.angular_velocity, axis=1).max()
     apart = np.linalg.norm(motion.angular_velocity - reference.angular_velocity, axis=1)
@@ -72,9 +72,9 @@ def test_no_second_of_the_pendulum_loses_more_than_it_magnifies():
     for row, (begin_ns, end_ns) in enumerate(zip(scene.times_ns, scene.times_ns[1:])):
         start, at = State(begin_ns, attitudes[row].astype(float), rates[row].astype(float)), \
             np.array([end_ns])
-        limit = terms.bound_at(at, lambda at, start=start: scene.propagate(at, start), begin_ns,
-                               5001) * terms.magnification(
-            lambda start, at: scene.propagate(at, start), start, at)
+        limit = bound_at(
+            at, lambda at, start=start: scene.propagate(at, start), begin_ns, 5001
+        ) * terms.magnification(lambda start, at: scene.propagate(at, start), start, at)
         motion = scene.propagate(at, start)
         assert truth.chord(attitudes[row + 1], motion.attitude[0]) <= limit
         apart = (motion.angular_velocity[0] - rates[row + 1]).astype(float)

@@ -166,7 +166,7 @@ def test_the_floor_is_about_the_true_error_or_more(name):
     reference = Reference.of(Case(problem, known.times_ns))
     error = chord(known.attitude, reference.trajectory.attitude).max()
     assert error <= 1.5 * reference.floor
-    bar = 1e-15 * (10.0 + known.phase()[-1])
+    bar = known.bound()[-1]
     assert reference.floor <= max(10.0 * bar, reference.last_digits)
 
 
