@@ -22,9 +22,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import Actuator, Problem, RigidBody, State, TorqueLog
 from rigid_body_ros.inference.monitor import ERROR, Monitor, monitored, Settings
-from rigid_body_ros.inference.noise import NoiseLevel
 from rigid_body_ros.recording.measured import Measured
-from scipy.signal import lfilter
 from scipy.stats import chi2
 
 pytestmark = pytest.mark.slow
@@ -227,15 +225,3 @@ def test_a_silent_sensor_is_no_error_of_the_model():
     assert judgements[-1].error.end_ns > EPOCH_NS + 100 * SECOND  # the gyro suffices
     assert np.isnan(judgements[-1].error.attitude).all()
     assert not any(one.level == ERROR for one in judgements)
-
-
-@pytest.mark.parametrize('colour', [0.0, 0.5, 0.8])
-def test_the_noise_is_found_whatever_the_model(colour):
-    random, level = np.random.default_rng(2), NoiseLevel(2e-3)
-    for _ in range(200):
-        white = random.normal(size=(250, 3)) * 2e-3 * np.sqrt(1.0 - colour ** 2)
-        errors = lfilter([1.0], [1.0, -colour], white, axis=0)
-        level.add(errors + np.linspace(0.0, 1.0, 250)[:, None] ** 2)  # a wrong model
-    assert abs(level.size / 2e-3 - 1.0) < 0.05
-    expected = (1.0 + colour) / (1.0 - colour)
-    assert abs(level.factor / expected - 1.0) < 0.1

@@ -43,19 +43,15 @@ from rigid_body_ros import (
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.comparison import compare_motion
-from rigid_body_ros.identification.estimation import too_wide
-from rigid_body_ros.identification.result import Estimate
-from rigid_body_ros.inference import reasons
 from rigid_body_ros.inference.hypotheses import _distance, _still
 from rigid_body_ros.inference.monitor import ERROR, first_suspect, Monitor, Settings
 from rigid_body_ros.inference.motion import Recorded
-from rigid_body_ros.inference.noise import noise_of, NORMAL_95
 from rigid_body_ros.mechanics import so3
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 from simulated import INERTIA, named, recordings
 
+pytestmark = pytest.mark.slow
 GUESS, BODY = RigidBody.from_moments(0.03, 0.03, 0.03), RigidBody(INERTIA)
 EXPLAINED = {'level': 'explained', 'consistent': True, 'reasons': [], 'suspects': []}
 
@@ -84,7 +80,6 @@ def covered(result):
                for low, high in [result.estimates[name].interval_95])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('name', ['noise AR 0.8', 'mount and clock of each', *at_night(
     '3 % outliers', 'lag, estimated', 'attitude at 20 Hz', 'weight, estimated', 'all well',
     'gyro alone', 'weak torque', 'unequal axes', 'delay, estimated', 'gyro scale, estimated')])
@@ -103,7 +98,6 @@ def test_a_right_model_is_explained_and_its_intervals_cover_the_truth(name):
         assert abs(one.value - value) < 4.0 * one.sigma, component
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('name', 'suspects'), [
     ('gyro bias', {'gyro_bias'}),
     *at_night(('mount of the gyro 5 degrees', {'mount@/imu'}), ('damping', {'damping'}),
@@ -155,7 +149,6 @@ def test_errors_beyond_what_can_be_predicted_are_no_finding():
     assert result.verdict.is_consistent
 
 
-@pytest.mark.slow
 def test_a_bad_prediction_is_a_finding():
     kind = replace(named('all well'), seconds=12.0, dropped=0.9)
     result = fit(kind, *recordings(kind, [0]), validate=0.5)
@@ -173,12 +166,10 @@ def test_a_fit_can_leave_a_guess_of_a_plate_or_a_rod(guess):
     assert not result.is_flat
 
 
-@pytest.mark.slow
 def test_a_plate_is_called_one():
     assert changed(inertia=np.diag([0.02, 0.03, 0.05]), seconds=6.0).is_flat
 
 
-@pytest.mark.slow
 def test_a_known_gain_limits_the_certainty_of_the_inertia():
     result = fit(*recorded('all well', 6.0), estimate=['inertia', 'start', 'torque_gain'],
                  priors={'torque_gain': '5%'})
@@ -189,36 +180,6 @@ def test_a_known_gain_limits_the_certainty_of_the_inertia():
     assert result.estimates['torque_gain'].sigma == pytest.approx(0.05, rel=0.01)
 
 
-@pytest.mark.parametrize(('coefficient', 'lasting'), [(0.0, 1.0), (0.5, np.sqrt(3.0)), (0.8, 3.0)])
-def test_the_noise_of_an_autoregression(coefficient, lasting):
-    random = np.random.default_rng(1)
-    noise = random.standard_normal((20_000, 3)) * [1.0, 2.0, 0.5]
-    for k in range(1, len(noise)):
-        noise[k] = coefficient * noise[k - 1] + np.sqrt(1.0 - coefficient ** 2) * noise[k]
-    found = noise_of([noise], 1.0)
-    np.testing.assert_allclose(found.sizes, [1.0, 2.0, 0.5], rtol=0.03)
-    assert found.lasting == pytest.approx(lasting, rel=0.05)
-    left = found.innovations(noise)
-    assert abs(np.mean(left[1:] * left[:-1])) < 0.02 * np.mean(left ** 2)
-
-
-@pytest.mark.parametrize(('coefficient', 'count'), [(0.0, 1.0), (0.9, 19.0), (0.98, 99.0)])
-def test_correlated_errors_tell_as_much_as_fewer_independent_ones(coefficient, count):
-    # The mean of n errors of an autoregression varies as that of n (1 - c) / (1 + c) errors.
-    white = np.random.default_rng(0).normal(size=(200_000, 3))
-    errors = lfilter([1.0], [1.0, -coefficient], white, axis=0)
-    found = reasons._persistence(errors, np.ones(len(errors), bool))
-    assert count <= found + 0.02 * count
-    assert found < 1.4 * count + 0.6  # the largest of several estimates is somewhat too large
-
-
-def test_a_small_error_that_lasts_shows_beside_noise():
-    random, seconds = np.random.default_rng(1), np.linspace(0.0, 1.0, 20_000)
-    errors = random.normal(size=(20_000, 3)) + 0.3 * np.sin(2.0 * np.pi * seconds)[:, None]
-    assert reasons._persistence(errors, np.ones(20_000, bool)) > 30.0
-
-
-@pytest.mark.slow
 def test_a_small_mounting_is_no_large_one():
     result = fit(*recorded('mocap turned by 1 degree', 12.0, 1))
     assert result.verdict.level == 'approximate'
@@ -238,7 +199,6 @@ def of_bodies(factors):
     return identify(GUESS, experiments)
 
 
-@pytest.mark.slow
 def test_the_scatter_between_recordings_says_how_certain_an_estimate_is():
     factors = [1.02, 0.97, 1.01, 0.98, 1.03]
     result = of_bodies(factors)
@@ -269,23 +229,12 @@ def test_a_recording_of_another_body_is_named():
     assert any(reason.startswith('recording 4 does not fit the others') for reason in reasons)
 
 
-@pytest.mark.slow
 def test_a_fit_that_is_not_as_certain_as_accepted_is_rejected():
     verdict = fit(*recorded('all well', 6.0), accept=1e-6).verdict
     assert verdict.level == 'rejected'
     assert 'inertia.ixx: the interval is wider than the accepted 1e-06' in verdict.reasons
 
 
-def test_a_systematic_error_counts_as_one_between_bounds():
-    one = Estimate('inertia.ixx', 'kg m^2', 1.0, 1.0, 0.03, True, 0.04 * np.sqrt(3.0))
-    assert one.uncertainty == pytest.approx(0.05, rel=1e-15)
-    np.testing.assert_allclose(one.interval_95, (1.0 - 0.05 * NORMAL_95, 1.0 + 0.05 * NORMAL_95),
-                               rtol=1e-15)
-    assert replace(one, systematic=0.0).uncertainty == one.sigma
-    assert replace(one, sigma=np.inf).uncertainty == np.inf
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(('name', 'seed', 'seconds'), [
     ('fuel burnt', 3, 12.0), *at_night(('dipole in an unknown field', 1, 20.0),
                                        ('gains of all axes', 1, 20.0))])
@@ -296,19 +245,6 @@ def test_an_estimate_is_as_uncertain_as_the_halves_of_the_recording_differ(name,
     assert covered(result) >= 5
 
 
-def test_an_interval_of_a_moment_may_not_contain_zero():
-    unknown = [Estimate(f'inertia.i{axis}{axis}', 'kg m^2', 1.0, 1.0, np.inf, False)
-               for axis in 'xyz']
-    product = Estimate('inertia.ixy', 'kg m^2', 1e-3, 0.0, 0.1, True)
-    assert too_wide([*unknown, product], {}, None) == []
-    assert too_wide([*unknown, product], {}, 0.1) == [
-        'inertia.ixy: the interval is wider than the accepted 0.1']
-    for sigma, texts in ((0.5, []), (0.52, ['inertia.ixx: the interval contains 0'])):
-        known = replace(unknown[0], sigma=sigma, identifiable=True)
-        assert too_wide([known, *unknown[1:]], {}, None) == texts
-
-
-@pytest.mark.slow
 def test_a_suspect_beside_the_moment_of_a_field_is_fitted():
     given = experiment(*recorded('torque bias'))
     pivot = UniformField((1e-6, 0.0, 0.0), (0.0, 0.0, -9.8), 'pivot')
@@ -328,7 +264,6 @@ def on_the_ground(torque, has_attitude=False, bias=0.01):
     return Experiment(State(0), log, measured)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('has_attitude', 'torque', 'names', 'text'), [
     (False, 5e-3, ('inertia', 'start'), 'the logged torque has no visible effect'),
     (True, 5e-3, ('start', 'torque_gains'), 'the logged torque has no visible effect'),
@@ -342,7 +277,6 @@ def test_a_body_that_does_not_move_is_rejected_with_one_reason(has_attitude, tor
     assert all('has no visible effect about' in other for other in others)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('torque', 'level'), [(5e-3, 'rejected'), (0.0, 'explained')])
 def test_only_a_body_that_should_move_is_compared_with_a_reason(torque, level):
     recording = on_the_ground(torque, True, bias=0.0)
@@ -352,7 +286,6 @@ def test_only_a_body_that_should_move_is_compared_with_a_reason(torque, level):
         'the body does not visibly move: the logged torque has no visible effect'])
 
 
-@pytest.mark.slow
 def test_a_motion_of_three_degrees_is_a_motion():
     recording, body = on_the_ground(3e-6, bias=0.0), RigidBody.from_moments(0.02, 0.03, 0.04)
     gyro, = recording.measured
@@ -366,7 +299,6 @@ def test_a_motion_of_three_degrees_is_a_motion():
     assert abs(gain.value - 1.0) < 4.0 * gain.sigma < 0.2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('name', 'prior'), [
     ('gyro bias', {'gyro_bias': 1e-5}),
     *at_night(('mount of the gyro 5 degrees', {'mount': 1e-4}),
@@ -393,7 +325,6 @@ def test_a_prior_of_no_suspect_or_size_is_an_error(prior, text):
         identify(RigidBody(np.eye(3)), on_the_ground(1.0), priors=prior)
 
 
-@pytest.mark.slow
 def test_a_model_of_a_body_at_rest_is_right_but_no_fit_of_it():
     times = np.arange(1000) * 10_000_000
     measured = [Measured('/mocap', times, np.tile([0.0, 0.0, 0.0, 1.0], (1000, 1)), None),
@@ -469,7 +400,6 @@ def broken(name):
     return replace(both, attitude=attitude, angular_velocity=rates)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('name', 'has_model'), [
     *((name, False) for name in (*FAULTS, 'clock_offset')), *((name, True) for name in (
         'quaternion_order', 'flipped_attitude', 'frozen_attitude', 'gyro_bias', 'gyro_scale'))])
@@ -515,7 +445,6 @@ def mixed_up(name):
     return {**given, **MIXED_UP[name](motion())}.values()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('name', MIXED_UP)
 def test_a_mix_up_is_named(name):
     body, log, sensor = mixed_up(name)
@@ -525,7 +454,6 @@ def test_a_mix_up_is_named(name):
     assert found.as_dict()['likely_causes'][0]['cause'] == name
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('name', ['gyro_mount', 'torque_in_body'])
 def test_a_fit_names_the_same_mix_up_though_it_does_not_know_the_inertia(name):
     _, log, sensor = mixed_up(name)
@@ -551,7 +479,6 @@ def of_monitor(one):
     return first_suspect(*monitor.latest()) if alarms else None
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('name', 'seconds'), [('gyro bias', 12.0), ('damping', 30.0), *at_night(*(
     (name, 30.0) for name in (
         'weight', 'attitude frozen for 3 s', 'rotor', 'torque bias',
@@ -566,7 +493,6 @@ def test_comparison_fit_and_live_check_name_the_same_cause(name, seconds):
     assert [compared, fitted] == [of_monitor(one).name] * 2
 
 
-@pytest.mark.slow
 def test_a_mounting_is_named_with_its_angle():
     suspect = wrong('mount of the gyro 5 degrees').verdict.suspects[0]
     assert suspect.name == 'mount@/imu'
@@ -574,7 +500,6 @@ def test_a_mounting_is_named_with_its_angle():
     assert np.degrees(np.linalg.norm(suspect.value)) == pytest.approx(5.0, rel=0.05)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('level', [0.1, 10.0])
 @pytest.mark.parametrize('seed', [0, *at_night(*range(1, 10))])
 def test_a_perfect_model_names_nothing(level, seed):
@@ -582,7 +507,6 @@ def test_a_perfect_model_names_nothing(level, seed):
     assert verdict.as_dict() == EXPLAINED
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('torque', 'first'), [(0.0, []), (1e-4, ['torque_bias'])])
 def test_a_body_at_rest_is_not_in_degrees(torque, first):
     random, times = np.random.default_rng(0), np.arange(1, 1001) * 10 ** 7
@@ -595,7 +519,6 @@ def test_a_body_at_rest_is_not_in_degrees(torque, first):
     assert [one.name for one in suspects][:1] == first
 
 
-@pytest.mark.slow
 def test_of_two_faults_the_larger_is_named_first():
     mocap, imu = sensors()
     imu = replace(imu, angular_velocity=0.5 * imu.angular_velocity + 0.03)
@@ -603,7 +526,6 @@ def test_of_two_faults_the_larger_is_named_first():
     assert suspects[0].name == 'gyro_scale'
 
 
-@pytest.mark.slow
 def test_each_sensor_has_its_own_clock_and_mounting():
     turns = {'/mocap': np.radians(3.0) * np.array([0.6, -0.64, 0.48]),
              '/imu': np.radians(30.0) * np.array([0.0, 0.6, -0.8])}
@@ -622,7 +544,6 @@ def test_each_sensor_has_its_own_clock_and_mounting():
         assert as_dict['alignment'][name] == value
 
 
-@pytest.mark.slow
 def test_errors_that_the_start_explains_are_no_finding():
     # A spin about the middle axis flips repeatedly, so a change of the start grows as exp(t).
     body, times = RigidBody.from_moments(1.0, 2.0, 3.0), np.arange(1, 6001) * 5 * 10 ** 7
@@ -657,7 +578,6 @@ def test_a_noisy_sensor_that_is_frozen_for_long_needs_little_memory():
     assert not still[:9_000].any()
 
 
-@pytest.mark.slow
 def test_usual_horizons_are_those_that_the_measurement_has():
     mocap, imu = apart(truth().measured(2e-3, 5e-3))
     assert [one.seconds for one in against(truth(), mocap, horizons=None).horizons] == [
@@ -671,7 +591,6 @@ def of_pair(mocap, imu):
     return compare_motion(Recorded.of_attitudes(mocap), [imu]).verdict
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('name', ['noise AR 0.8', '3 % outliers', 'attitude at 20 Hz', *at_night(
     'all well', 'weak torque', 'noise AR 0.5', '20 % missing')])
 def test_two_right_sensors_agree(name):
