@@ -409,6 +409,7 @@ def test_measurements_after_the_end_only_are_rejected(tmp_path):
     (('--motion', 'BAG', '--horizon', '1'),
      'expected a model that can restart, found a recorded motion'),
     (('--until', '0.06', '--check'), '--check: expected at least 10 samples'),
+    (('--motion', 'BAG', '--check'), '--check: expected a motion that is computed'),
     (('--align', 'mount@/gps'), 'align: mount@/gps: expected a topic among /imu'),
     (('--measured', '/mocap'), 'expected a topic /mocap, found /torque (geometry_msgs/msg/'),
     (('--measured', '/torque'), '/torque: expected geometry_msgs/msg/QuaternionStamped or'),
