@@ -307,6 +307,7 @@ def test_a_command_that_is_called_leaves_signals_to_its_caller(output):
         status = main._guarded('command', lambda: os.kill(os.getpid(), signal.SIGTERM), [])
         assert status == 128 + signal.SIGTERM
         assert state() == before
+        assert main._guarded('command', lambda: 0, []) == 0
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
