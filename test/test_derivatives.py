@@ -35,11 +35,14 @@ from rigid_body_ros import (
     UniformField,
     Wheel,
 )
+from rigid_body_ros.common.arrays import entries, symmetric
 from rigid_body_ros.engine import layout
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.scene.quantities import components_of
 
 NAMES = ['inertia', 'start', 'torque_gains', 'torque_bias', 'torque_delay', 'damping',
          'rotor_momentum']
+DAMPING = np.diag([0.02, 0.03, 0.01]) + 0.005
 #: Weights of a central difference of order six.
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 
@@ -68,52 +71,44 @@ KINDS = ['hold wheels space', 'linear wheels', 'two cubic space', 'lag space two
          'many fields lag', 'change momentum field lag', 'change lag gradient two']
 
 
+#: Values of the parameters of `problem`.
+VALUES = {'inertia': entries(FULL), 'damping': entries(DAMPING), 'initial_attitude': np.zeros(3),
+          'initial_angular_velocity': (0.5, -0.7, 0.9), 'initial_rotor_momentum': (0.3, -0.2, 0.1),
+          'torque_gains': np.ones(3), 'torque_bias': np.zeros(3), 'torque_delay': (0.0,),
+          'torque_lag': (0.0,), 'weight.moment': (0.3, -0.2, 0.5)}
+
+
 def problem(component='', change=0.0, kind='hold wheels'):
     """Return a problem that begins between samples, with a component of a parameter changed."""
-    values = {'inertia': FULL.copy(), 'damping': np.diag([0.02, 0.03, 0.01]) + 0.005,
-              'initial_attitude': np.zeros(3),
-              'initial_angular_velocity': np.array([0.5, -0.7, 0.9]),
-              'initial_rotor_momentum': np.array([0.3, -0.2, 0.1]),
-              'torque_gains': np.ones(3), 'torque_bias': np.zeros(3), 'torque_delay': np.zeros(1),
-              'torque_lag': np.zeros(1), 'weight.moment': np.array([0.3, -0.2, 0.5])}
-    if component:
-        name, _, entry = component.rpartition('.')
-        axes = ['xyz'.index(axis) for axis in entry if axis in 'xyz'] if name else [0]
-        values[name or component][tuple(axes)] += change
-        if len(set(axes)) == 2:
-            values[name][tuple(axes[::-1])] += change
+    inertia, damping, turn, rates, momentum, gains, bias, (delay,), (lag,), moment = (
+        numbers + change * (np.array(components_of(name)) == component)
+        for name, numbers in VALUES.items())
     random, start_ns = np.random.default_rng(5), 3 * SECOND // 2 + 12345678
     stamps_ns, torques = np.arange(40) * SECOND // 4, 0.2 * random.normal(size=(40, 3))
     interpolation = next((one for one in ('linear', 'cubic') if one in kind), 'hold')
-    delay_ns = round(values['torque_delay'][0] * SECOND)
-    logs = [TorqueLog(stamps_ns + delay_ns, torques * values['torque_gains'],
-                      'space' if 'space' in kind else 'body', interpolation)]
+    late_ns = stamps_ns + round(delay * SECOND)
+    logs = [TorqueLog(late_ns, torques * gains, 'space' if 'space' in kind else 'body',
+                      interpolation)]
     wheels = TorqueLog(stamps_ns + SECOND // 10, 0.1 * random.normal(size=(40, 3)),
                        interpolation=interpolation)
     if 'two' in kind:
-        logs.append(TorqueLog(stamps_ns + delay_ns + SECOND // 7, torques[::-1]
-                              * values['torque_gains']))
-    actuators = None
-    if 'lag' in kind:
-        actuators = [Actuator(time_constant=constant + values['torque_lag'][0])
-                     for constant in (0.15, 0.6)[:len(logs)]]
-    if values['torque_bias'].any():
-        logs.append(TorqueLog([start_ns], [values['torque_bias']]))
+        logs.append(TorqueLog(late_ns + SECOND // 7, torques[::-1] * gains))
+    actuators = [Actuator(time_constant=constant + lag)
+                 for constant in (0.15, 0.6)[:len(logs)]] if 'lag' in kind else None
+    if bias.any():
+        logs.append(TorqueLog([start_ns], [bias]))
         actuators = actuators and [*actuators, None]
-    fields = [UniformField(values['weight.moment'], (0.2, 0.4, -0.9), 'weight')] \
-        if 'field' in kind else []
+    fields = [UniformField(moment, (0.2, 0.4, -0.9), 'weight')] if 'field' in kind else []
     if 'many' in kind:
         fields += [UniformField((0.1 * k, 0.2, -0.1), (0.2, 0.4 * k, -0.9)) for k in range(3)]
     if 'gradient' in kind:
         fields.append(GravityGradient(0.4))
-    bodies = [RigidBody(1.3 * FULL + np.diag([0.1, 0.2, 0.0])), RigidBody(0.7 * FULL)]
-    changes = BodyLog([3 * SECOND + 7654321, 5 * SECOND + 17000000], bodies,
-                      'momentum' if 'momentum' in kind else 'rate')
-    attitude = so3.multiply(np.array([2.0, -4.0, 5.0, 6.0]) / 9.0,
-                            so3.exp(values['initial_attitude']))
-    return Problem(RigidBody(values['inertia'], values['damping']),
-                   State(start_ns, attitude, values['initial_angular_velocity'],
-                         values['initial_rotor_momentum']), logs, fields=fields,
+    changes = BodyLog([3 * SECOND + 7654321, 5 * SECOND + 17000000], [
+        RigidBody(1.3 * FULL + np.diag([0.1, 0.2, 0.0])), RigidBody(0.7 * FULL)],
+        'momentum' if 'momentum' in kind else 'rate')
+    attitude = so3.multiply(np.array([2.0, -4.0, 5.0, 6.0]) / 9.0, so3.exp(turn))
+    return Problem(RigidBody(symmetric(inertia), symmetric(damping)),
+                   State(start_ns, attitude, rates, momentum), logs, fields=fields,
                    wheels=wheels if 'wheels' in kind else None, actuator=actuators,
                    changes=changes if 'change' in kind else None)
 
@@ -205,7 +200,7 @@ def test_a_motion_has_the_derivatives_that_it_is_asked_for():
 
 
 AT = np.array([9, 2, 5, 9]) * SECOND + 7
-INPUTS = {'inertia': FULL, 'damping': np.diag([0.02, 0.03, 0.01]) + 0.005,
+INPUTS = {'inertia': FULL, 'damping': DAMPING,
           'attitude': [0.2, -0.8, 0.5, 1.0], 'angular_velocity': [0.5, -0.7, 0.9],
           'rotor_momentum': [0.3, -0.2, 0.1]}
 
@@ -216,14 +211,14 @@ def mixed(count=40, start_ns=3 * SECOND // 2, **options):
     logs = [TorqueLog(np.arange(count) * SECOND // 4, 0.2 * random.normal(size=(count, 3)),
                       frame, interpolation)
             for frame, interpolation in (('body', 'hold'), ('space', 'linear'), ('body', 'cubic'))]
-    return Problem(RigidBody(FULL, INPUTS['damping']),
+    return Problem(RigidBody(FULL, DAMPING),
                    State(start_ns, (0.0, 0.0, 0.0, 1.0), INPUTS['angular_velocity']),
                    logs[:2], wheels=logs[2], **options)
 
 
 def with_named_wheels():
     wheels = [Wheel('a', (1.0, 0.0, 0.0), 0.1, 20.0), Wheel('b', (0.6, 0.0, 0.8), 0.05)]
-    return Problem(RigidBody(FULL, INPUTS['damping']), State(wheel_speeds=(9.0, -5.0)),
+    return Problem(RigidBody(FULL, DAMPING), State(wheel_speeds=(9.0, -5.0)),
                    mixed().logs, wheels=wheels,
                    efforts=EffortLog([0, SECOND], [[0.1, -0.2], [0.0, 0.3]]))
 
