@@ -171,21 +171,16 @@ def late(random, start_ns, count, rate):
 
 
 def late_torques(start_ns, count, rate):
-    """Return when to publish torques, their stamps, frames and values, in this order."""
+    """Return when to publish torques, their stamps, frames and values."""
     random = np.random.default_rng(17)
-    return in_order((*times_ns, ('', 'base_link', 'world')[random.integers(3)],
-                     random.normal(size=3) * 0.02 * (random.random() > 0.3))
-                    for times_ns in late(random, start_ns, count, rate))
+    return [(*times_ns, ('', 'base_link', 'world')[random.integers(3)],
+             random.normal(size=3) * 0.02 * (random.random() > 0.3))
+            for times_ns in late(random, start_ns, count, rate)]
 
 
-def in_order(rows):
-    """Sort rows that begin with a time."""
-    return sorted(rows, key=lambda row: row[0])
-
-
-def publish_when_due(live, rows, publish):
-    """Call a function with the rest of each row, at the time that the row begins with."""
-    for due_ns, *row in rows:
+def play(live, rows, publish):
+    """Publish each row without its first number, which is when to do so, ns."""
+    for due_ns, *row in sorted(rows, key=lambda row: row[0]):
         live.spin((due_ns - live.now_ns()) * 1e-9)
         publish(*row)
 
@@ -267,7 +262,7 @@ def commit(live, count):
 def check_late(tmp_path, live, count, rate):
     """Send torques late and out of order; check that their replay has the bits of the states."""
     torques = late_torques(live.now_ns(), count, rate)
-    publish_when_due(live, torques, live.publish)
+    play(live, torques, live.publish)
     live.wait_until(lambda: len(live.torques) == count, 'all torques')
     stamps_ns = [stamp_ns for _, stamp_ns, *_ in torques]
     stamps = np.unique(stamps_ns)

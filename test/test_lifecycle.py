@@ -19,7 +19,7 @@ from geometry_msgs.msg import QuaternionStamped
 from lifecycle_msgs.msg import State as LifeState
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from live import late_torques, options, publish_when_due, same_bits, Session, spin_until, TUMBLER
+from live import late_torques, options, play, same_bits, Session, spin_until, TUMBLER
 from live_session import COMMITTED, RELIABLE
 import pytest
 import rclpy
@@ -172,8 +172,7 @@ def test_a_managed_node_that_starts_itself_replays_bit_for_bit(tmp_path, domain)
             assert live.tested._state_machine.current_state[0] == state
         for _ in range(2):
             count = len(live.torques)
-            publish_when_due(live, late_torques(live.now_ns() - SECOND // 2, 300, rate=1000),
-                             live.publish)
+            play(live, late_torques(live.now_ns() - SECOND // 2, 300, rate=1000), live.publish)
             live.wait_until(lambda count=count: len(live.torques) == count + 300, 'every torque')
             change(Transition.TRANSITION_DEACTIVATE, LifeState.PRIMARY_STATE_INACTIVE)
             live.wait_until(lambda: not live.torque_subscriptions, 'the end of a subscription')

@@ -18,17 +18,7 @@ import signal
 import time
 
 from conftest import at_night, RECORDINGS, SECOND
-from live import (
-    check_late,
-    decoded,
-    finished,
-    options,
-    PATIENT,
-    Session,
-    stamps_of,
-    TUMBLER,
-    tumbler,
-)
+from live import check_late, decoded, finished, options, Session, stamps_of, TUMBLER, tumbler
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
@@ -47,7 +37,7 @@ pytestmark = pytest.mark.ros
 
 
 def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE, *PATIENT) as live:
+    with LiveSession(TUMBLER, domain, *RELIABLE, *options('history:=60.0 max_future:=59.9')) as live:
         check_late(tmp_path, live, 400, rate=200)
 
 
