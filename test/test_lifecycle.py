@@ -15,70 +15,59 @@
 """The managed node: every transition, and the resulting state."""
 
 from conftest import SECOND
-from geometry_msgs.msg import QuaternionStamped
 from lifecycle_msgs.msg import State as LifeState
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from live import late_torques, options, play, same_bits, Session, spin_until, TUMBLER
-from live_session import COMMITTED, RELIABLE
+from live import decoded, late_torques, options, play, same_bits, Session, TUMBLER, tumbler
+from live_session import ATTITUDE, COMMITTED, RELIABLE
 import pytest
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rigid_body_ros import messages, propagate, scene, State
+from rigid_body_ros import messages
 from rigid_body_ros.node.lifecycle import AttitudeLifecycleNode
 
 pytestmark = pytest.mark.ros
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
-SPINNING = {'inertia.ixx': 0.02, 'inertia.iyy': 0.03, 'inertia.izz': 0.04,
-            'initial_angular_velocity.y': 2.0}
 
 
-class Managed:
-    """A managed node, a client that listens to it, and their executor."""
+class ManagedSession(Session):
+    """A session with a managed node."""
 
-    def __init__(self, context, **parameters):
-        self.node = AttitudeLifecycleNode(context=context, parameter_overrides=[
-            Parameter(name.replace('__', '.'), value=value)
-            for name, value in {**SPINNING, **parameters}.items()])
-        self.client = rclpy.create_node('client', context=context)
-        self.attitudes = []
-        self.client.create_subscription(QuaternionStamped, 'attitude', self.attitudes.append, 100,
-                                        raw=True)
-        self.executor = SingleThreadedExecutor(context=context)
-        self.executor.add_node(self.node)
-        self.executor.add_node(self.client)
+    kind = AttitudeLifecycleNode
+    # An EventsExecutor warns if a subscription is destroyed with messages in its queue.
+    executor = staticmethod(lambda context: SingleThreadedExecutor(context=context))
+
+
+class Unconfigured(ManagedSession):
+    """A session with a managed node that is not configured yet."""
+
+    def _connect(self):
+        self.record(ATTITUDE, messages.QUATERNION, 100)
 
     def listen(self):
         """Return the next attitude."""
-        count = len(self.attitudes)
-        spin_until(self.executor, lambda: len(self.attitudes) > count)
-        return messages.QUATERNION.decode(self.attitudes[-1])
+        self.received[ATTITUDE].clear()
+        self.wait_until(lambda: self.received[ATTITUDE], 'an attitude')
+        return decoded(self, ATTITUDE)[0]
 
     def topics(self):
         """Return the topics that the node publishes, and those that it subscribes to."""
         own = '/parameter_events', '/rosout', '/attitude_node/transition_event'
-        return ({publisher.topic_name for publisher in self.node.publishers}.difference(own),
-                {subscription.topic_name for subscription in (*self.node.subscriptions,
-                                                              *self.node.polled)})
-
-    def end(self):
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.client.destroy_node()
+        return ({publisher.topic_name for publisher in self.tested.publishers}.difference(own),
+                {subscription.topic_name for subscription in (*self.tested.subscriptions,
+                                                              *self.tested.polled)})
 
 
 @pytest.fixture
-def managed(context):
-    """Yield a managed node that is not configured yet."""
-    managed = Managed(context)
-    yield managed
-    managed.end()
+def managed(domain):
+    """Yield a session with a managed node that is not configured yet."""
+    with Unconfigured(TUMBLER, domain) as live:
+        yield live
 
 
 def test_each_transition_creates_and_destroys_what_it_needs(managed):
-    node = managed.node
+    node = managed.tested
     assert managed.topics() == (set(), set())
     assert node.trigger_configure() == SUCCESS
     published, subscribed = managed.topics()
@@ -97,22 +86,20 @@ def test_each_transition_creates_and_destroys_what_it_needs(managed):
 
 
 def test_the_motion_continues_after_a_pause_and_begins_again_after_a_cleanup(managed):
-    node, loaded = managed.node, scene.Scene.from_values(SPINNING)
+    node = managed.tested
     node.trigger_configure()
     node.trigger_activate()
     managed.listen()
     start_ns = node.get_parameter('start_time').value
     node.trigger_deactivate()
     node.trigger_activate()
-    managed.attitudes.clear()
     found = managed.listen()
-    start = State(start_ns, loaded.start.attitude, loaded.start.angular_velocity)
-    expected = propagate(loaded.body, start, at=[found.stamp_ns])
+    expected = tumbler([start_ns], [[0.0, 0.0, 0.0]]).propagate(at=[found.stamp_ns])
     assert found.values.tolist() == expected.attitude[0].tolist()
     node.trigger_deactivate()
     node.trigger_cleanup()
     assert node.get_parameter('start_time').value is None  # was not given
-    assert node.get_parameter('inertia.ixx').value == 0.02
+    assert node.get_parameter('inertia.ixx').value == 0.045
     node.trigger_configure()
     node.trigger_activate()
     assert node.get_parameter('start_time').value > start_ns
@@ -120,7 +107,7 @@ def test_the_motion_continues_after_a_pause_and_begins_again_after_a_cleanup(man
 
 
 def test_parameters_may_change_until_they_are_configured(managed):
-    node = managed.node
+    node = managed.tested
     assert node.set_parameters([Parameter('damping.dxx', value=0.5)])[0].successful  # not given
     for value, outcome in ((-1.0, FAILURE), (0.03, SUCCESS)):
         assert node.set_parameters([Parameter('inertia.ixx', value=value)])[0].successful
@@ -135,9 +122,10 @@ def test_parameters_may_change_until_they_are_configured(managed):
     node.trigger_shutdown()
 
 
-def test_a_failed_transition_leaves_the_state_before_it(context):
-    managed = Managed(context, torque_topics=['initial_state'])
-    node = managed.node
+def test_a_failed_transition_leaves_the_state_before_it(managed):
+    node = managed.tested
+    taken = Parameter('torque_topics', value=['initial_state'])
+    assert node.set_parameters([taken])[0].successful
     assert node.trigger_configure() == SUCCESS
     before = managed.topics()
     assert node.trigger_activate() == FAILURE
@@ -152,15 +140,6 @@ def test_a_failed_transition_leaves_the_state_before_it(context):
     assert node.trigger_configure() == SUCCESS
     assert node.trigger_activate() == SUCCESS
     managed.listen()
-    managed.end()
-
-
-class ManagedSession(Session):
-    """A session with a managed node."""
-
-    kind = AttitudeLifecycleNode
-    # An EventsExecutor warns if a subscription is destroyed with messages in its queue.
-    executor = staticmethod(lambda context: SingleThreadedExecutor(context=context))
 
 
 def test_a_managed_node_that_starts_itself_replays_bit_for_bit(tmp_path, domain):

@@ -37,7 +37,8 @@ pytestmark = pytest.mark.ros
 
 
 def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE, *options('history:=60.0 max_future:=59.9')) as live:
+    with LiveSession(TUMBLER, domain, *RELIABLE, *options(
+            'history:=60.0 max_future:=59.9')) as live:
         check_late(tmp_path, live, 400, rate=200)
 
 
