@@ -166,11 +166,11 @@ def test_a_second_controller_is_named_and_starts_no_second_chain(tmp_path, domai
         second = live.node.create_publisher(WrenchStamped, 'torque', 10)
         law = Pid()
 
-        def on_state(state):
-            stamp_ns, _, values, *_ = messages.ODOMETRY.decode(state)
-            second.publish(messages.wrench(stamp_ns, '', law.torque(
-                (values[messages.ORIENTATION][:3] + 0.1).tolist(),
-                values[messages.ANGULAR_VELOCITY].tolist())))
+        def on_state(data):
+            state = messages.ODOMETRY.decode(data)
+            second.publish(messages.wrench(state.stamp_ns, '', law.torque(
+                (state.values[messages.ORIENTATION][:3] + 0.1).tolist(),
+                state.values[messages.ANGULAR_VELOCITY].tolist())))
         live.node.create_subscription(Odometry, 'odometry', on_state, 10, raw=True)
         with controller(tmp_path, domain, until=FOREVER):
             live.wait_until(lambda: len(live.torques) > 1000, 'the loop')
