@@ -19,7 +19,6 @@ Write the table of `test/conformance/README.md`: what each installed engine reac
 """
 
 from pathlib import Path
-import re
 import subprocess
 import sys
 import tempfile
@@ -31,7 +30,6 @@ ENGINES = {'rigid_body_ros': 'run_rigid_body_ros', 'RK4': 'rk4', 'Drake, RK5': '
            'Basilisk, RK4': 'run_basilisk', 'MuJoCo, RK4': 'run_mujoco',
            'MuJoCo, discrete': 'run_mujoco --integrator discrete',
            'MuJoCo, implicitfast': 'run_mujoco --integrator implicitfast'}
-STEP = '0.01'
 
 
 def errors(command):
@@ -40,7 +38,7 @@ def errors(command):
     with tempfile.TemporaryDirectory() as folder:
         results = Path(folder) / 'results'
         ran = subprocess.run(
-            [sys.executable, FOLDER / 'adapters' / f'{script}.py', results, '--step', STEP,
+            [sys.executable, FOLDER / 'adapters' / f'{script}.py', results, '--step', '0.01',
              *options], text=True, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, check=False)
         if ran.returncode:
             print(f'left out: {command}: {ran.stderr.splitlines()[-1]}')
@@ -58,9 +56,8 @@ def main():
     lines = [*header('motion', *found),
              *(row(motion, *(table[motion] for table in found.values())) for motion in motions)]
     page = FOLDER / 'README.md'
-    text = re.sub(r'(default settings:\n\n).*', lambda match: match[1], page.read_text(),
-                  flags=re.DOTALL)
-    page.write_text(text + '\n'.join(lines) + '\n')
+    text, mark, _ = page.read_text().partition('default settings:\n\n')
+    page.write_text(f'{text}{mark}' + '\n'.join(lines) + '\n')
     print('\n'.join(lines))
 
 

@@ -32,8 +32,6 @@ from rclpy.signals import SignalHandlerOptions
 from rigid_body_ros.node.attitude_controller import AttitudeController
 from rigid_body_ros.node.process import executor_of, spin
 
-NODE = command('attitude_node', '--ros-args', '--params-file', SCENE, '-p', 'mode:=lockstep',
-               '-p', 'step:=0.001')
 #: Number of states in a round before timing starts, and number of timed states.
 WARM, STATES = 200, 1000
 #: s; a loop that takes longer is considered stuck.
@@ -82,7 +80,8 @@ def main():
     parser.add_argument('--rounds', type=int, default=12)
     rounds = parser.parse_args().rounds
     isolate()
-    node = psutil.Popen(NODE)
+    node = psutil.Popen(command('attitude_node', '--ros-args', '--params-file', SCENE, '-p',
+                                'mode:=lockstep', '-p', 'step:=0.001'))
     try:
         time_round(node)  # for warming up
         times = np.median([time_round(node) for _ in range(rounds)], axis=0)
