@@ -28,7 +28,9 @@ from nav_msgs.msg import Odometry
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import deserialize_message
 from relay import Relay
+from rigid_body_ros import messages, State
 from std_msgs.msg import Float64MultiArray
 
 pytestmark = pytest.mark.ros
@@ -119,13 +121,10 @@ def test_the_relay_of_px4_converts_stamps_order_and_scale(monkeypatch):
     monkeypatch.setitem(sys.modules, 'px4_msgs', ModuleType('px4_msgs'))
     monkeypatch.setitem(sys.modules, 'px4_msgs.msg', px4)
     import px4_relay
-    state = Odometry()
-    state.header.stamp.sec, state.header.stamp.nanosec = 1_790_000_000, 4_000_000
-    orientation, rates = state.pose.pose.orientation, state.twist.twist.angular
-    orientation.x, orientation.y, orientation.z, orientation.w = 0.1, 0.3, 0.5, 0.8
-    rates.x, rates.y, rates.z = 1.0, 2.0, 3.0
+    start = State(1_790_000_000_004_000_000, (0.1, 0.3, 0.5, 0.8), (1.0, 2.0, 3.0))
+    state = deserialize_message(messages.odometry(start, 'world', 'base_link'), Odometry)
     attitude, velocity = px4_relay.messages_of(state)
-    assert attitude.q == [0.8, 0.1, 0.3, 0.5]
+    assert attitude.q == start.attitude[[3, 0, 1, 2]].tolist()
     assert velocity.xyz == [1.0, 2.0, 3.0]
     assert attitude.timestamp == velocity.timestamp_sample == 1_790_000_000_004_000
     answer = px4_relay.torque_of(SimpleNamespace(

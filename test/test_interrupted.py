@@ -15,7 +15,6 @@
 """attitude_replay, ended at any moment, leaves nothing wrong or incomplete under a final name."""
 
 import itertools
-import resource
 import signal
 import struct
 import subprocess
@@ -180,17 +179,3 @@ def test_signals_in_a_row_do_not_disturb_the_cleaning_up(whole, output):
     assert len(announced) <= 1
     assert not output.exists()
     assert not parts(output.parent)
-
-
-@pytest.mark.parametrize('share', [0.6, *at_night(0.0, 1.0)])
-def test_a_full_disk_is_told_in_one_line(whole, output, share):
-    limit = max(0, round(share * len(whole.data)) - 1)
-    process = start([*whole.arguments, output])
-    # Python ignores the signal of this limit, so writes fail, as on a full disk.
-    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, limit))
-    _, words = process.communicate(timeout=60)
-    line, = words.splitlines()
-    assert line.startswith(f'attitude_replay: error: {output}: cannot write: ')
-    assert process.returncode == 2
-    assert not output.exists()
-    check(whole, output)
