@@ -126,18 +126,6 @@ def test_a_frame_that_is_not_fixed_is_rejected_with_the_reason(robot, frame, rea
             frames[frame]
 
 
-@pytest.mark.parametrize(('robot', 'link', 'message'), [
-    (ROBOT, 'hand', "URDF link 'hand': expected an <inertial>, found none; links with <inertial>: "
-                    "'base_link'"),
-    (ROBOT, 'map', "URDF: expected one link 'map', found 'base_link', 'thruster', 'mast', 'lamp', "
-                   "'footprint', 'arm' and 3 more"),
-    (changed('0.25 0 -0.5', '0.25 0'), '',
-     "URDF link 'base_link': xyz: expected 3 finite numbers, found '0.25 0'")])
-def test_frames_need_a_link_with_a_centre_of_mass(robot, link, message):
-    with pytest.raises(ValueError, match=f'^{re.escape(message)}$'):
-        urdf.fixed_frames(robot, link)
-
-
 @pytest.fixture
 def scene_file(tmp_path):
     """Return a function that writes a scene with a URDF and further parameters."""

@@ -138,8 +138,9 @@ XACRO = FULL.replace('<joint', '<xacro:include filename="arm.xacro"/><joint')
     (robot(base_link='', a=inertial(), b=inertial()), '',
      "URDF: expected the name of a link, or a single body with <inertial>, found 'a', 'b'")])
 def test_what_is_no_link_with_an_inertia_is_refused(text, link, message):
-    with pytest.raises(ValueError, match=f'^{re.escape(message)}$'):
-        RigidBody.from_urdf(text, link)
+    for function in (RigidBody.from_urdf, urdf.fixed_frames):
+        with pytest.raises(ValueError, match=f'^{re.escape(message)}$'):
+            function(text, link)
 
 
 @pytest.mark.parametrize(('text', 'message'), [
