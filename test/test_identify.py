@@ -417,6 +417,11 @@ def bad(**changes):
     (bad, {'estimate': ['start', 'start']}, 'each name once'),
     (bad, {'attitude_noise': 0.0}, 'attitude_noise: expected a number greater than zero'),
     (bad, {'validate': 1.0}, 'validate: expected a fraction'),
+    (bad, {'priors': {'mounting': 0.1}}, 'prior: expected parameters that are estimated or may be '
+     r"suspects \(inertia, .*\), found 'mounting'"),
+    (bad, {'priors': {'damping': '5%'}},
+     'damping.dxx: expected a standard deviation greater than zero, found 5% of a guess of 0'),
+    (bad, {'priors': {'torque_bias': -1.0}}, 'found -1.0 of a guess of 0'),
 ])
 def test_bad_input_is_named(experiment, options, message):
     with pytest.raises(ValueError, match=message):

@@ -41,7 +41,6 @@ from rigid_body_ros import (
     UniformField,
 )
 from rigid_body_ros.commands import main
-from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.comparison import compare_motion
 from rigid_body_ros.inference.hypotheses import _distance, _still
 from rigid_body_ros.inference.monitor import ERROR, first_suspect, Monitor, Settings
@@ -311,18 +310,6 @@ def test_a_suspect_that_the_user_rules_out_is_not_named_and_does_not_widen(name,
         assert (one.value, one.sigma) == (other.value, other.sigma)
         assert other.systematic <= one.systematic
     assert any(one.systematic > 0.0 for one in usual.estimates.values())
-
-
-@pytest.mark.parametrize(('prior', 'text'), [
-    ({'mounting': 0.1}, r'prior: expected parameters that are estimated or may be suspects '
-     r'\(inertia, .*\), found \'mounting\''),
-    ({'damping': '5%'}, 'prior: damping.dxx: expected a standard deviation greater than zero, '
-     'found 5% of a guess of 0'),
-    ({'torque_bias': -1.0}, 'prior: torque_bias.x: expected a standard deviation greater than '
-     'zero, found -1.0 of a guess of 0')])
-def test_a_prior_of_no_suspect_or_size_is_an_error(prior, text):
-    with pytest.raises(InputError, match=text):
-        identify(RigidBody(np.eye(3)), on_the_ground(1.0), priors=prior)
 
 
 def test_a_model_of_a_body_at_rest_is_right_but_no_fit_of_it():
