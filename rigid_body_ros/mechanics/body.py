@@ -171,20 +171,21 @@ class RigidBody:
         masses : array, shape (n,), kg
             The masses, each greater than zero.
         positions : array, shape (n, 3), m
-            The positions in body axes, relative to any origin. The inertia is computed about the
-            centre of mass of all the point masses.
+            The positions in body axes. Choose an origin near the body, because a distant origin
+            reduces the accuracy.
 
         Returns
         -------
         RigidBody
+            The body with the inertia about the centre of mass of all the point masses.
 
         Raises
         ------
         ValueError
-            A mass is not positive and finite, the shapes do not match, or the masses are collinear
-            within rounding. Masses count as collinear if their distances from a common line are
-            less than about 1e-7 times their extent along the line, or less than about 1e-14 times
-            their distance from the origin.
+            A mass is not positive and finite.
+            The shapes do not match.
+            All masses lie on a line: their distances from the line are less than about 1e-7 times
+            their extent along it, or less than about 1e-14 times their distance from the origin.
 
         """
         masses, positions = np.asarray(masses, float), np.asarray(positions, float)

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Euler angles, in any of the twelve sequences.
+Euler angles, in any of the 24 sequences.
 
 A sequence is named by its three axes, as in SciPy. Upper case means intrinsic rotations, each
 about an axis of the rotated body. Lower case means extrinsic rotations, about axes fixed in space.
+Twelve orders of axes are possible, such as z x z, and each may be intrinsic or extrinsic.
 For example, 'ZXZ' is the 3-1-3 sequence: phi about space Z, theta about the line of nodes, and psi
 about body z. All angles are in rad. They describe active rotations, which map body vectors to
 space vectors. The poles are the attitudes at which the first and third axes are parallel (gimbal
@@ -78,7 +79,7 @@ def _axes(sequence: str) -> _Axes:
 
 
 def check_sequence(sequence: str) -> None:
-    """Raise ValueError if a string is not one of the twelve Euler sequences."""
+    """Raise ValueError if a string does not name one of the 24 Euler sequences."""
     _axes(sequence)
 
 
@@ -103,7 +104,8 @@ def to_quaternion(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     Raises
     ------
     ValueError
-        The sequence is not one of the twelve.
+        The sequence does not name three axes in which neighbours differ, all in upper case or all
+        in lower case.
 
     """
     axes = _axes(sequence)
@@ -147,7 +149,8 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     Raises
     ------
     ValueError
-        The sequence is not one of the twelve.
+        The sequence does not name three axes in which neighbours differ, all in upper case or all
+        in lower case.
 
     """
     axes = _axes(sequence)
@@ -160,29 +163,30 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
     """
-    Return whether Euler angles are degenerate, which means close to gimbal lock.
+    Return whether Euler angles are within 1e-7 rad of gimbal lock.
 
-    The attitude of degenerate angles determines only the sum or the difference of the first and
-    third angles.
+    At gimbal lock, the first and third rotations have the same axis, so the attitude determines
+    only the sum or the difference of their angles.
 
     Parameters
     ----------
     angles : array, shape (..., 3), rad
         The angles in the order of the sequence. Only the middle angle matters.
     sequence : str
-        As for `to_quaternion`. The poles are at a middle angle of +-pi/2 if all axes differ,
+        As for `to_quaternion`. Gimbal lock occurs at a middle angle of +-pi/2 if all axes differ,
         otherwise at 0 and pi.
 
     Returns
     -------
     array of bool, shape (...)
-        Whether the absolute value of the middle angle's sine is below `DEGENERATE`. If all axes
-        differ, its cosine is used instead.
+        Whether |sin(theta)| of the middle angle theta is below `DEGENERATE`, which is 1e-7. If
+        all axes differ, |cos(theta)| is used instead.
 
     Raises
     ------
     ValueError
-        The sequence is not one of the twelve.
+        The sequence does not name three axes in which neighbours differ, all in upper case or all
+        in lower case.
 
     """
     middle = np.asarray(angles, float)[..., 1]
@@ -212,7 +216,8 @@ def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     Raises
     ------
     ValueError
-        The sequence is not one of the twelve.
+        The sequence does not name three axes in which neighbours differ, all in upper case or all
+        in lower case.
 
     """
     axes = _axes(sequence)
@@ -248,7 +253,8 @@ def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ')
     Raises
     ------
     ValueError
-        The sequence is not one of the twelve.
+        The sequence does not name three axes in which neighbours differ, all in upper case or all
+        in lower case.
 
     """
     return np.sum(np.asarray(rates, float)[..., None] * rotation_axes(angles, sequence), axis=-2)
@@ -259,10 +265,12 @@ def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ')
     Convert an angular velocity to Euler rates.
 
     For 'ZXZ', phi' = (w1 sin psi + w2 cos psi) / sin theta, theta' = w1 cos psi - w2 sin psi, and
-    psi' = w3 - phi' cos theta. Near the poles (see `degenerate`) phi' and psi' grow without bound,
-    but their sum (near theta = 0) or difference (near theta = pi) does not. At a pole, this sum or
-    difference is split evenly between the two rates, and any component of the angular velocity
-    that finite rates cannot produce is ignored.
+    psi' = w3 - phi' cos theta.
+
+    Near gimbal lock, phi' and psi' become very large, because sin theta is small. Their sum (near
+    theta = 0) or their difference (near theta = pi) stays moderate. Exactly at gimbal lock, this
+    sum or difference is split evenly between phi' and psi'. The component of the angular velocity
+    perpendicular to all three rotation axes is then ignored, because no finite rates produce it.
 
     Parameters
     ----------
@@ -281,7 +289,8 @@ def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ')
     Raises
     ------
     ValueError
-        The sequence is not one of the twelve.
+        The sequence does not name three axes in which neighbours differ, all in upper case or all
+        in lower case.
 
     """
     axes = _axes(sequence)
@@ -324,7 +333,8 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     Raises
     ------
     ValueError
-        The sequence is not one of the twelve.
+        The sequence does not name three axes in which neighbours differ, all in upper case or all
+        in lower case.
 
     """
     result, axes = np.array(angles, float, order='C'), _axes(sequence)

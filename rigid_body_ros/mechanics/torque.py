@@ -179,12 +179,17 @@ class TorqueLog:
         Parameters
         ----------
         torques : array, shape (n, 3), N m
-            The new torques, in the same axes as the torques of this log.
+            The new torques, one for each of the n samples of this log, in the same axes.
+
+        Returns
+        -------
+        TorqueLog
 
         Raises
         ------
         ValueError
-            The shape does not match, or a torque is not finite.
+            The array does not have one row of three numbers for each sample.
+            A torque is not finite.
 
         """
         return TorqueLog(self.times_ns, torques, self.in_space, self.interpolation)

@@ -143,7 +143,7 @@ def joint_states(joints: Sequence[str]) -> MessageType:
     """
     Return the type for JointState messages with the velocity and effort of each joint.
 
-    Use `joint_values` to get the doubles for these messages.
+    `joint_values` returns the numbers that a writer needs for messages of this type.
     """
     lists = _padded(_names(joints)) + struct.pack('<2I', 0, len(joints))
     return MessageType(_NAME, 2 * len(joints) + 1, before_doubles=lists)
@@ -151,16 +151,22 @@ def joint_states(joints: Sequence[str]) -> MessageType:
 
 def joint_values(velocities: Floats, efforts: Floats) -> Floats:
     """
-    Return the doubles for messages whose type comes from `joint_states`.
+    Arrange velocities and efforts as the numbers of JointState messages.
+
+    The type of the messages must come from `joint_states`. A writer copies each row into a
+    message as 64-bit floats (doubles).
 
     Parameters
     ----------
-    velocities, efforts : array, shape (n, joints)
-        The velocities, rad/s, and efforts, N m, with one row per message.
+    velocities, efforts : array, shape (n, k)
+        The velocities, rad/s, and efforts, N m, of k joints, with one row per message.
 
     Returns
     -------
-    array, shape (n, 2 joints + 1)
+    array, shape (n, 2 k + 1)
+        Each row has the velocities, one column for the encoding, and the efforts. In the message,
+        the length of the list of efforts lies between both lists, and fills as many bytes as a
+        double. The middle column has these bytes; its value as a number has no meaning.
 
     """
     rows, joints = velocities.shape

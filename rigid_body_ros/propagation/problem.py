@@ -208,11 +208,17 @@ class Problem(MotionInputs):
         at : array of int, shape (m,), ns
             The times, in any order, none before the start.
 
+        Returns
+        -------
+        Trajectory
+            The state at each time, in the order of `at`.
+
         Raises
         ------
         ValueError
-            A time lies before the start or is not an integer that fits in int64, or the torques
-            accelerate the body beyond 1e9 rad/s.
+            A time lies before the start.
+            A time is not an integer that fits in int64.
+            The torques accelerate the body beyond 1e9 rad/s.
 
         """
         return Integration(self).advance(at)
@@ -278,13 +284,15 @@ def propagate(body: RigidBody, start: State, log: Logs = None, *, at: ArrayLike,
     Returns
     -------
     Trajectory
+        The state at each time, in the order of `at`.
 
     Raises
     ------
     ValueError
-        A time lies before the start or is not an integer that fits in int64, an option is out of
-        its range, torques are given to the solver 'exact', the torques accelerate the body
-        beyond 1e9 rad/s, or `Problem.derivatives` raises it.
+        A time lies before the start, or is not an integer that fits in int64.
+        An option is out of its range, or torques are given to the solver 'exact'.
+        The torques accelerate the body beyond 1e9 rad/s.
+        `Problem.derivatives` raises it.
 
     """
     problem = Problem(

@@ -138,7 +138,8 @@ class Trajectory:
         Raises
         ------
         ValueError
-            The sequence is not one of the twelve.
+            The sequence does not name three axes in which neighbours differ, all in upper case or
+            all in lower case.
 
         """
         angles = euler.from_quaternion(self.attitude, sequence)
@@ -153,7 +154,8 @@ class Trajectory:
         Raises
         ------
         ValueError
-            The sequence is not one of the twelve.
+            The sequence does not name three axes in which neighbours differ, all in upper case or
+            all in lower case.
 
         """
         return euler.degenerate(euler.from_quaternion(self.attitude, sequence), sequence)

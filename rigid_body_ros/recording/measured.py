@@ -62,8 +62,8 @@ class Measured:
     damage : str
         A description of what was lost from the recording. Empty if nothing was lost.
     frames : str
-        A description of how the frames of the messages differ from those of the scene. Empty if
-        the frames agree.
+        A sentence that says how the frames named in the messages differ from the frames of the
+        scene, for example another child frame than `body_frame`. Empty if the frames agree.
 
     """
 

@@ -326,14 +326,27 @@ def load(path: str | Path, **values: Any) -> Scene:
     """
     Read a scene from a ROS 2 parameter file, for example one written by `ros2 param dump`.
 
-    Parameters of `/**` apply to every node, and parameters of `attitude_node` override them. If a
-    file contains only the parameters of a single other node, the scene uses these parameters, and
-    `Scene.warnings` contains a warning. The given `values` replace those of the file.
+    Parameters
+    ----------
+    path : str or Path
+        The parameter file. Its parameters of `/**` apply to every node, and its parameters of
+        `attitude_node` override them. If the file has parameters of one other node only, these are
+        used, and `Scene.warnings` contains a warning.
+    **values
+        Parameters that replace those of the file. Names that contain a dot need `**{'name.key':
+        value}`.
+
+    Returns
+    -------
+    Scene
+        The scene, with the default of each parameter that is not given.
 
     Raises
     ------
     InputError
-        The file cannot be read or is not a parameter file, or the scene is not valid.
+        The file cannot be read.
+        The file is not a parameter file.
+        The scene is not valid; the message names the parameter.
 
     """
     root, node = read_yaml(path, 'scene'), NODE
