@@ -59,16 +59,16 @@ class Topic(NamedTuple):
 
 SUBSCRIBED = [
     Topic('torque', WRENCH, TORQUE,
-          'A torque, N m, and a force, N, from the stamp of the message on; in `realtime`, the '
-          'stamp 0 means on arrival. `header.frame_id` selects the axes: empty or the body frame '
-          '(body axes), the space frame (space axes), or a [link of '
-          '`robot_description`](node_howto.md#forces-and-frames), at whose origin the force acts. '
-          'A force without a [lever arm](conventions.md#force) is ignored and counted. All '
-          '`torque_topics` are alike, and may have [other '
+          'A torque, N m, and a force, N, which act from the stamp of the message on; in '
+          '`realtime`, the stamp 0 means on arrival. `header.frame_id` selects the axes: body '
+          'axes if it is empty or the body frame, space axes if it is the space frame, or the '
+          'axes of a [link of `robot_description`](node_howto.md#forces-and-frames), at whose '
+          'origin the force acts. A force without a [lever arm](conventions.md#force) is ignored '
+          'and counted. The same holds for all `torque_topics`, which may have [other '
           'types](node_behaviour.md#which-types-can-torques-have).'),
     Topic('initial_state', ODOMETRY, STATE,
           'Begins a new epoch at its stamp, with its attitude and angular velocity. Position and '
-          'linear velocity are ignored. Rotor momentum and speeds of named wheels carry over.'),
+          'linear velocity are ignored. Rotor momentum and wheel speeds stay the same.'),
 ]
 SUBSCRIBED_IF_ENABLED = [
     Topic('wheel_torque', WRENCH, TORQUE,
@@ -82,8 +82,8 @@ SUBSCRIBED_IF_ENABLED = [
           'body axes. `m` and `com` are ignored. The frame must be empty or the body frame. The '
           'damping does not change; see `inertia_change`.'),
     Topic('robot_description', 'std_msgs/msg/String', 'reliable, transient local, keep last 1',
-          'Without inertia and URDF in the parameters: the URDF. Only the first message '
-          'counts.'),
+          'The URDF, if the parameters contain neither an inertia nor a URDF. Only the first '
+          'message counts.'),
     Topic('/clock', 'rosgraph_msgs/msg/Clock', 'best effort, keep last 1',
           'With `use_sim_time`: simulated time, which the node follows.'),
 ]
@@ -94,22 +94,22 @@ PUBLISHED = [
           'Euler angles of `euler_sequence`, rad, in this order; space frame.'),
     Topic('angular_velocity', VECTOR3, STATE, 'Angular velocity, rad/s, body axes; body frame.'),
     Topic('imu/data', 'sensor_msgs/msg/Imu', STATE,
-          'Attitude and angular velocity with the errors of `imu.*`; body frame. No acceleration '
-          '(`linear_acceleration_covariance[0]` is -1).'),
+          'Attitude and angular velocity with the errors of `imu.*`; body frame. There is no '
+          'acceleration (`linear_acceleration_covariance[0]` is -1).'),
     Topic('odometry', ODOMETRY, STATE,
-          'Attitude and angular velocity with the covariances of `odometry.*`; space frame, child '
-          'body frame. The position is zero.'),
+          'Attitude and angular velocity with the covariances of `odometry.*`; space frame, and '
+          'body frame as child. The position is zero.'),
     Topic('~/accepted_torque', WRENCH, LOG,
-          'Every accepted torque, about the centre of mass, with its own stamp or that of its '
-          'arrival: with the scene, the complete log of the run. Each epoch begins with a marker: '
+          'Every accepted torque, about the centre of mass, with its stamp or time of arrival. '
+          'With the scene, this is the complete log of the run. Each epoch begins with a marker, '
           'a wrench of zeros whose `frame_id` contains the start state as text.'),
     Topic('~/committed', ODOMETRY, LOG,
           'The start state of every epoch, and the final state at each stamp of an accepted '
           'torque, once the newest stamp is `history` later or the epoch ends.'),
     Topic('~/initial_state_result', 'diagnostic_msgs/msg/DiagnosticStatus',
           'reliable, transient local, keep last 10',
-          'Answer to each `initial_state`: OK and when the epoch begins, or ERROR and the reason. '
-          '`values` has the `stamp` of the message, ns.'),
+          'The response to each `initial_state`: OK and the start of the epoch, or ERROR and the '
+          'reason. `values` has the `stamp` of the message, ns.'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
           'The [statuses](node_behaviour.md#what-does-diagnostics-report) of the sources and of '
           'the motion, once a second, and when a source falls silent or sends again. '
@@ -144,13 +144,13 @@ OPTIONAL = [
 PROFILES = {TORQUE: '; *torque*', STATE: '', LOG: '; *log*'}
 #: The causes of rejection of a torque, and their meanings.
 CAUSES = {
-    'malformed': 'The bytes are not a message of the type, or the stamp is invalid; on '
-                 '`wheel_command`, there is no name, a name is unknown or repeated, or an effort '
-                 'is missing or not finite.',
+    'malformed': 'The bytes are not a message of the type, or the stamp is invalid. On '
+                 '`wheel_command`, a name is missing, unknown or repeated, or an effort is '
+                 'missing or not finite.',
     'unknown frame': 'The frame is neither empty nor the body frame (`frame_prefix` followed by '
-                     '`body_frame`), the space frame, or [a link that is '
-                     'allowed](node_howto.md#forces-and-frames). `wheel_torque` and `inertia` '
-                     'allow only the first two; `wheel_command` any, except a marker from a log.',
+                     '`body_frame`), the space frame, or [an allowed '
+                     'link](node_howto.md#forces-and-frames). For `wheel_torque` and `inertia`, '
+                     'it must be empty or the body frame.',
     'not finite': 'A component of the torque is NaN or infinite.',
     'too large': 'The torque or effort is above 1e9 rad/s^2 times the smallest principal moment '
                  'of the body in the scene.',
@@ -166,16 +166,16 @@ CAUSES = {
                                        'been accepted, from another publisher or for an earlier '
                                        'copy of the state.',
     'before the reset': 'In `lockstep`, the torque answers a state from before the reset.',
-    'no body has this inertia': 'The tensor on `inertia` is not finite, is that of no rigid body, '
-                                'or is less than that of the named wheels.',
+    'no body has this inertia': 'The tensor on `inertia` is not finite, is not possible for a '
+                                'rigid body, or is less than the inertia of the named wheels.',
 }
 PAGE = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
 # Node reference: topics, services, parameters
 
-[Node behaviour](node_behaviour.md) says what the node does with torques, restarts and clocks;
-[node how-tos](node_howto.md) show single tasks. `python docs/nodes.py > docs/nodes.md` prints this
-page.
+The node takes torques on `torque`, and publishes the motion on `attitude`, `angular_velocity` and
+other topics. [Node behaviour](node_behaviour.md) says what it does with late torques, restarts and
+clock jumps, and [node how-tos](node_howto.md) show single tasks.
 
 ## attitude_node
 
@@ -188,12 +188,12 @@ Without `ros2`, as after `pip install '.[ros]'`, begin with `attitude_node`.
 `attitude_lifecycle_node` is [the managed version](node_howto.md#attitude_lifecycle_node).
 
 Names without a leading slash are relative to the namespace, and can be remapped
-(`-r torque:=/wrench`). The quality of service (QoS), which [parameters
-override](robot_stack.md#how-do-i-change-the-quality-of-service), is
+(`-r torque:=/wrench`). This page names the quality of service (QoS) of each topic, which
+[parameters can override](robot_stack.md#how-do-i-change-the-quality-of-service):
 
 - *torque*: {torque}
 - *log*: {log}
-- where nothing is listed: {state}
+- for topics that list none: {state}
 
 ### Subscribes
 
@@ -215,35 +215,32 @@ The stamp of a message is the time of its state. Values are always finite.
 
 ### Services
 
-- `~/reset` (std_srvs/Trigger) begins an epoch with the initial state of the scene, also of the
-  rotors. In `realtime`, torques that act go on acting.
-- `~/pause` (std_srvs/SetBool): in `mode: clock`, the clock stops. In `lockstep`, torques wait, and
-  so do programs that follow `publish_clock`; no bit of the responses changes. `realtime` has no
-  such service: set `use_sim_time`, and pause the source of `/clock`.
+- `~/reset` (std_srvs/Trigger) begins an epoch with the initial state of the scene, including the
+  rotors. In `realtime`, torques that act at this time continue to act.
+- `~/pause` (std_srvs/SetBool) stops the clock in `mode: clock`. In `lockstep`, torques wait, and
+  no bit of the later responses changes. In `realtime`, the service does not exist: set
+  `use_sim_time`, and pause the source of `/clock`.
 - `~/step` (std_srvs/Trigger), in `mode: clock`, advances a paused clock by one step.
 
 ### Why is a torque rejected?
 
-The log names the cause, what was expected and what was found. `/diagnostics` counts each cause
-under `rejected: CAUSE`.
+The log names the cause, what was expected and what was found. `/diagnostics` counts the torques
+rejected for each of these causes:
 
 {causes}
 
 ## Parameters
 
-The node and all commands read these parameters from [the scene file](scene.md). All except
-`publish_rate` are read-only while the node runs. In parentheses are default, unit and limits or
-other values. Times, speeds and variances are at most 1e9.
+The node and all commands read these parameters from [the scene file](scene.md). While the node
+runs, only `publish_rate` can change. The parentheses contain the default, the unit, and the limits
+or other values. Times, speeds and variances are at most 1e9.
 
 {parameters}
 
-- A scene needs the three moments of inertia or a `robot_description`; with neither, the node
-  [waits for a URDF](node_howto.md#inertia-from-robot_state_publisher).
-- The inertia must be positive definite, and no principal moment more than 3 % above the sum of the
-  other two. The damping must have no negative eigenvalue.
-- `torque_topics` names each topic once, and at least one.
-- [These parameters exclude each other](scene.md#which-parameters-exclude-each-other).
-- If a parameter is wrong, `attitude_node` prints one line that names it, and exits with status 2.
+A scene needs the three moments of inertia or a `robot_description`. With neither, the node [waits
+for a URDF](node_howto.md#inertia-from-robot_state_publisher). [Some parameters exclude each
+other](scene.md#which-parameters-exclude-each-other). If a parameter is wrong, `attitude_node`
+prints one line that names it, and exits with status 2.
 """
 #: The commands, their usage, and the pages that explain their results.
 COMMANDS = [
@@ -269,10 +266,15 @@ COMMANDS_PAGE = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
 # Commands: options and exit status
 
-Only `attitude_regress` needs ROS. `--help` ends with two examples that run in a clone of the
-repository. See also [which command takes which scene](scene.md#which-command-takes-which-scene),
-and [which files are replaced](recordings.md#which-files-are-replaced). `python docs/nodes.py
-commands > docs/commands.md` prints this page.
+Each command takes a scene and recordings, prints a summary, and writes what you ask for:
+
+```bash
+attitude_replay test/recordings/tumbler.mcap --scene config/tumbler.yaml --report motion.html
+```
+
+`--help` ends with two examples that run in a clone of the repository. Only `attitude_regress`
+needs ROS. See also [which command takes which scene](scene.md#which-command-takes-which-scene)
+and [which files are replaced](recordings.md#which-files-are-replaced).
 
 ## Options of several commands
 
@@ -283,24 +285,26 @@ commands > docs/commands.md` prints this page.
 ## Exit status
 
 {exits}
+
+With status 3 or 4, `attitude_identify` writes no scene, unless you pass `--force`.
 """
 
 #: Exit statuses and their meanings.
 EXITS = [
-    ('0', 'Success.'),
-    ('1', '`attitude_replay --verify`: states differ in at least one bit. `attitude_regress`: the '
-          'loops or outputs differ. With a traceback: a bug in the package.'),
+    ('0', 'The command succeeded.'),
+    ('1', '`attitude_replay --verify` found states that differ in at least one bit, or '
+          '`attitude_regress` found loops or outputs that differ. If there is a traceback, the '
+          'package has a bug.'),
     ('2', 'An argument is wrong, an input cannot be read, or an output cannot be written; one '
-          'line names it. `attitude_ensemble`: all runs failed. `attitude_regress`: the command '
-          'ended too early, sent nothing, or took too long.'),
-    ('3', '`attitude_identify`: the data does not determine all estimates, or the fit did not '
-          'converge. No scene is written without `--force`. `attitude_design`: no maneuver '
-          'determines all estimates.'),
-    ('4', '`attitude_identify`: the fit is rejected; no scene is written without `--force`. '
-          '`attitude_compare --check`: the model does not explain the measurements.'),
-    ('128 + n', 'Signal n: 130 after Ctrl-C, 143 after SIGTERM, where a node that has started '
-                'exits with 0 instead. 141: the program that reads the output has ended, as '
-                '`head` does.'),
+          'line names it. All runs of `attitude_ensemble` failed. The command of '
+          '`attitude_regress` ended too early, sent nothing, or took too long.'),
+    ('3', 'The data of `attitude_identify` does not determine all estimates, or the fit did not '
+          'converge. No maneuver of `attitude_design` determines all estimates.'),
+    ('4', 'The fit of `attitude_identify` is rejected, or the model of `attitude_compare --check` '
+          'does not explain the measurements.'),
+    ('128 + n', 'Signal n ended the command: 130 after Ctrl-C, 143 after SIGTERM. A node that has '
+                'started exits with 0 instead. The status is 141 if the program that reads the '
+                'output has ended, as `head` does.'),
 ]
 
 
@@ -339,7 +343,7 @@ def commands():
         shared='\n\n'.join('\n'.join((wrapped(f'{names}:'), '', *lines))
                            for names, lines in shared.items()),
         commands='\n\n'.join('\n'.join((
-            f'## {command.name}\n', f'{page} explains the results.',
+            f'## {command.name}\n', f'See {page}.',
             f'\n```text\nusage: {command.name} {usage}\n```\n',
             *(line for line in options[command.name] if len(users[line]) == 1)))
             for command, usage, page in COMMANDS),
