@@ -466,7 +466,7 @@ def of_monitor(one):
     return first_suspect(*monitor.latest()) if alarms else None
 
 
-@pytest.mark.parametrize(('name', 'seconds'), [('gyro bias', 12.0), ('damping', 30.0), *at_night(*(
+@pytest.mark.parametrize(('name', 'seconds'), [('gyro bias', 12.0), ('damping', 12.0), *at_night(*(
     (name, 30.0) for name in (
         'weight', 'attitude frozen for 3 s', 'rotor', 'torque bias',
         'gains of all axes', 'mount 30 degrees', 'clock 10 ms', 'clock drifts', 'gyro scale',
