@@ -42,19 +42,6 @@ STEP_NS = SECOND // 50
 #: A slew of 170 degrees about an axis that is not a principal axis.
 SLEW = so3.exp(np.radians(170.0) * np.array([2.0, -1.0, 2.0]) / 3.0)
 SLEW_SECONDS = 30.0
-#: Parameters for lockstep with a step of 0.04 s.
-SLOWLY = options('mode:=lockstep step:=0.04')
-
-
-def start_at(attitude):
-    return options(' '.join(f'initial_attitude.{name}:={value!r}'
-                            for name, value in zip('xyzw', attitude.tolist())))
-
-
-def controller(live, *arguments):
-    """Start the example controller in a separate process."""
-    return subprocess.Popen([*program('attitude_controller'), '--ros-args', '-p',
-                             f'stop_after:={SLEW_SECONDS}', *arguments], env=live.environment)
 
 
 def lossy(send, count):
@@ -70,7 +57,9 @@ def lossy(send, count):
 
 def closed_loop(tmp_path, domain, attitude, is_lossy=False):
     """Let the controller turn the body; return the committed states and the accepted torques."""
-    with LiveSession(TUMBLER, domain, *SLOWLY, *start_at(attitude)) as live:
+    start = ' '.join(f'initial_attitude.{name}:={value!r}'
+                     for name, value in zip('xyzw', attitude.tolist()))
+    with LiveSession(TUMBLER, domain, *options(f'mode:=lockstep step:=0.04 {start}')) as live:
         counts, remaps = (Counter(), Counter()), ()
         if is_lossy:
             states = live.node.create_publisher(Odometry, 'relayed_odometry', 10)
@@ -78,7 +67,8 @@ def closed_loop(tmp_path, domain, attitude, is_lossy=False):
                                           10, raw=True)
             live.listen('relayed_torque', lossy(live.publish_bytes, counts[1]))
             remaps = ('-r', 'odometry:=relayed_odometry', '-r', 'torque:=relayed_torque')
-        process = controller(live, *remaps)
+        process = subprocess.Popen([*program('attitude_controller'), '--ros-args', '-p',
+                                    f'stop_after:={SLEW_SECONDS}', *remaps], env=live.environment)
         live.wait_until(lambda: process.poll() is not None, 'the controller to end')
         assert process.returncode == 0
         assert not is_lossy or min(count['lost'] for count in counts) >= 3
