@@ -308,6 +308,17 @@ def test_rods_take_the_momentum_of_the_wheels():
     assert 2.0 * np.linalg.norm(state.attitude[:3]) < 5e-3
 
 
+@pytest.mark.nightly
+def test_runs_side_by_side_do_not_disturb_each_other(folder, tmp_path):
+    changed = with_gains(proportional_gain=math.nextafter(0.05, 1.0))
+    processes = [subprocess.Popen([*program('attitude_regress'), *arguments(
+        folder, '--json', tmp_path / f'{number}.json', '--timeout', '300', command=command)],
+        stdout=subprocess.DEVNULL) for number, command in enumerate(2 * [CONTROLLER, changed])]
+    assert [process.wait() for process in processes] == [0, 1, 0, 1]
+    same, other, *again = ((tmp_path / f'{number}.json').read_text() for number in range(4))
+    assert again == [same, other]
+
+
 def test_domains_are_apart_and_the_environment_is_left_alone(monkeypatch):
     monkeypatch.setenv('ROS_STATIC_PEERS', '192.0.2.1')
     before = dict(os.environ)

@@ -116,13 +116,15 @@ def test_interpolation_is_that_of_the_option_or_of_the_scene(scene_with):
     assert not np.array_equal(ends['cubic'], ends['hold'])
 
 
-def test_the_summary_tells_what_happened_also_without_an_output(output, capsys):
+def test_the_summary_tells_what_happened_also_without_an_output(output, capsys, monkeypatch):
+    monkeypatch.chdir(output.parent)
     printed = []
     for arguments in ((), ('-o', str(output))):
         assert main.attitude_replay([*ISS, *arguments]) == 0
         text = capsys.readouterr().out
         printed.append([line for line in text.splitlines() if not line.startswith('speed')])
     assert printed[1] == [*printed[0], f'wrote         {output}']
+    assert [*output.parent.iterdir()] == [output]
     for part in ('1441 on /torque, over 28800 s', 'hold (attitude_tradeoff shows',
                  'asymmetric top', 'taylor (auto: ', '28800 s after the start',
                  'work and energy differ by', ', checked over all 28800 s\n', 'times real time'):
@@ -466,3 +468,19 @@ def test_gaps_do_not_depend_on_the_pieces(seed):
     assert (str(pieces), pieces.warning, pieces.usual) == (str(whole), whole.warning, whole.usual)
     assert whole.warning
     assert whole.usual == pytest.approx(np.median(np.diff(stamps[3:-3])) * 1e-9, rel=0.05)
+
+
+@pytest.mark.nightly
+def test_home_time_zone_and_assertions_have_no_effect(tmp_path):
+    def run(folder, *options, **environment):
+        (tmp_path / folder).mkdir()
+        result = subprocess.run(
+            [sys.executable, *options, *COMMAND[1:], str(TORQUES), '--scene',
+             str(CONFIG / 'tumbler.yaml'), '-o', 'm.mcap', '--plot', 'm.png'],
+            cwd=tmp_path / folder, env={**os.environ, **environment}, capture_output=True,
+            text=True, check=False)
+        assert (result.returncode, result.stderr) == (0, '')
+        facts = [line for line in result.stdout.splitlines() if not line.startswith('speed')]
+        return facts, *((tmp_path / folder / name).read_bytes() for name in ('m.mcap', 'm.png'))
+    assert run('there', '-O', HOME='/proc/none', TZ='Asia/Kathmandu', LC_ALL='tr_TR.UTF-8') \
+        == run('here', TZ='UTC')
