@@ -184,16 +184,15 @@ clock jumps, and [node how-tos](node_howto.md) show single tasks.
 ros2 run rigid_body_ros attitude_node --ros-args --params-file config/tumbler.yaml
 ```
 
-Without `ros2`, as after `pip install '.[ros]'`, begin with `attitude_node`.
 `attitude_lifecycle_node` is [the managed version](node_howto.md#attitude_lifecycle_node).
 
 Names without a leading slash are relative to the namespace, and can be remapped
-(`-r torque:=/wrench`). This page names the quality of service (QoS) of each topic, which
-[parameters can override](robot_stack.md#how-do-i-change-the-quality-of-service):
+(`-r torque:=/wrench`). Where a topic lists no quality of service (QoS), the QoS is
+{state}. You can [override it](robot_stack.md#how-do-i-change-the-quality-of-service).
+Two have names:
 
 - *torque*: {torque}
 - *log*: {log}
-- for topics that list none: {state}
 
 ### Subscribes
 
