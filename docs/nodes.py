@@ -160,12 +160,12 @@ CAUSES = {
     'late': 'The stamp is `history` or more behind the newest stamp, or more than `max_past` or '
             'an hour behind the clock.',
     'overload': 'Too many torques are [waiting](node_behaviour.md#what-happens-to-a-torque).',
-    'state not computable': 'The body turns too fast to compute the state at the stamp.',
+    'state not computable': 'The body rotates too fast to compute the state at the stamp.',
     'epoch ended': 'A new epoch began before the torque was applied.',
     'duplicate, differs (same stamp)': 'In `lockstep`, a different torque for the same state has '
                                        'been accepted, from another publisher or for an earlier '
                                        'copy of the state.',
-    'before the reset': 'In `lockstep`, the torque answers a state from before the reset.',
+    'before the reset': 'In `lockstep`, the torque responds to a state from before the reset.',
     'no body has this inertia': 'The tensor on `inertia` is not finite, is not possible for a '
                                 'rigid body, or is less than the inertia of the named wheels.',
 }
@@ -188,8 +188,8 @@ ros2 run rigid_body_ros attitude_node --ros-args --params-file config/tumbler.ya
 
 Names without a leading slash are relative to the namespace, and can be remapped
 (`-r torque:=/wrench`). Where a topic lists no quality of service (QoS), the QoS is
-{state}. You can [override it](robot_stack.md#how-do-i-change-the-quality-of-service).
-Two have names:
+{state}. You can [override
+it](robot_stack.md#how-do-i-change-the-quality-of-service). Two have names:
 
 - *torque*: {torque}
 - *log*: {log}
