@@ -128,6 +128,21 @@ def test_exponentials_are_correctly_rounded():
     np.testing.assert_array_equal(ends, [math.inf, math.inf, 0.0, 0.0, math.nan])
 
 
+@pytest.mark.slow
+def test_careful_evaluations_have_a_hundred_bits_and_quick_ones_their_bounds():
+    cases = [(angle, mpmath.sin(angle), mpmath.cos(angle)) for angle in angles(120).tolist()]
+    for function, error in ((elementary._careful_sine_cosine, 1e-31),
+                            (elementary.sine_cosine_pairs, elementary._SINE_ERROR)):
+        for angle, *exact in cases:
+            for pair, right in zip(function(angle), exact):
+                assert abs(mpmath.fsum(pair) / right - 1) < error
+    for function, error in ((elementary._careful_arctangent, 1e-31),
+                            (elementary._quick_arctangent, elementary._ANGLE_ERROR)):
+        for ratio in [*RANDOM.uniform(0, 1, 100), *(10.0 ** RANDOM.uniform(-9, 0, 40))]:
+            found = mpmath.fsum(function((ratio, 0.0), (1.0, 0.0)))
+            assert abs(found / mpmath.atan(ratio) - 1) < error
+
+
 def test_sines_are_odd_nan_at_infinity_and_those_of_tiny_angles_are_the_angles():
     given = angles(500)
     np.testing.assert_array_equal(arrays.sines_cosines(-given)[0],
