@@ -14,14 +14,20 @@
 
 """Compiled kernels and plain Python reproduce every bit of the committed vectors."""
 
+from collections import Counter
+import math
 import os
 import re
 import subprocess
 import sys
 
 from conftest import at_night, ROOT
+import numpy as np
 import pytest
-from rigid_body_ros.engine._compiled import LEVELS
+from rigid_body_ros import UniformField
+from rigid_body_ros.engine._compiled import LANES, LEVELS
+from rigid_body_ros.mechanics.torque import INTERPOLATIONS
+from rigid_body_ros.propagation import SOLVERS
 import vectors
 
 
@@ -56,6 +62,51 @@ def test_what_the_file_has_changed_or_lacks_is_a_difference(tmp_path, line, foun
     assert len(differences) == len(reported)
     for difference, expected in zip(differences, reported):
         assert difference.startswith(name + expected)
+
+
+@pytest.mark.slow
+def test_they_cover_all_solvers_terms_and_interpolations(motions):
+    assert len({motion.name for motion in motions}) == len(motions)
+    problems = [motion.problem for motion in motions]
+    assert {problem.options.solver for problem in problems} == {*SOLVERS}
+    assert {log.interpolation for problem in problems for log in problem.logs} == {*INTERPOLATIONS}
+    for has_term in (lambda problem: problem.body.is_damped, lambda problem: problem.wheels,
+                     lambda problem: not problem.logs, lambda problem: len(problem.logs) > 1,
+                     lambda problem: problem.options.torque_timeout,
+                     lambda problem: problem.fields and problem.logs,
+                     lambda problem: [*map(type, problem.fields)].count(UniformField) > 3,
+                     lambda problem: {*map(type, problem.fields)} > {UniformField},
+                     lambda problem: any(0 < log.in_space.mean() < 1 for log in problem.logs)):
+        assert sum(map(bool, map(has_term, problems))) >= 5
+    groups = Counter(motion.group for motion in motions if motion.group)
+    assert min(groups.values()) > max(LANES.values())
+
+
+@pytest.mark.slow
+def test_fields_have_the_sums_and_directions_that_the_page_describes(motions):
+    for problem in (motion.problem for motion in motions if motion.problem.fields):
+        record, = problem._fields
+        uniform = [field for field in problem.fields if isinstance(field, UniformField)]
+        pairs = [(field.moment, field.field) for field in uniform]
+        if len(uniform) > 3:
+            pairs = [([sum(field.field[k] * moment for field, moment in zip(
+                uniform, moments)) for moments in zip(*(field.moment for field in uniform))],
+                np.eye(3)[k]) for k in range(3)]
+        assert record['count'] == len(pairs)
+        for name, vectors_of in (('moments', 0), ('fields', 1)):
+            assert record[name][:3 * len(pairs)].tolist() == [
+                number for pair in pairs for number in pair[vectors_of]]
+        for orbit in {*problem.fields} - {*uniform}:
+            (x, y, z), (u, v, w) = orbit.position.tolist(), orbit.normal.tolist()
+            along = [v * z - w * y, w * x - u * z, u * y - v * x]
+            for size in (max, length) if abs(length(along) - 1.0) > 2.0 ** -50 else ():
+                divisor = size([*map(abs, along)])
+                along = [one / divisor for one in along]
+            assert (record['position'].tolist(), record['along'].tolist()) == ([x, y, z], along)
+
+
+def length(vector):
+    return math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
 
 
 @pytest.mark.slow
