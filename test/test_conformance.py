@@ -15,6 +15,7 @@
 """The motions of the folder `conformance`: this package, and other engines where installed."""
 
 from importlib.util import find_spec
+import json
 from pathlib import Path
 import subprocess
 import sys
@@ -40,6 +41,12 @@ def check(results, *options):
     """Run the checker on results."""
     return subprocess.run([sys.executable, FOLDER / 'check.py', results, *options], text=True,
                           capture_output=True, check=False)
+
+
+@pytest.mark.parametrize('path', MOTIONS, ids=lambda path: path.stem)
+def test_decimal_and_hexadecimal_inputs_are_the_same_doubles(path):
+    motion = json.loads(path.read_text(), parse_float=lambda text: float(text).hex())
+    assert motion['inputs'] == motion['inputs_in_hexadecimal']
 
 
 @pytest.fixture(scope='module')
