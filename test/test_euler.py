@@ -173,6 +173,20 @@ def test_rates_grow_large_only_where_degenerate_says_so(sequence):
 
 
 @pytest.mark.parametrize('sequence', ALL)
+def test_the_axes_are_one_of_space_the_line_of_nodes_and_one_of_the_body(sequence):
+    angles = euler.from_quaternion(Q, sequence)
+    axes = np.moveaxis(euler.rotation_axes(angles, sequence), -2, 0)
+    named = np.eye(3)[['xyz'.index(letter) for letter in sequence.lower()]]
+    if sequence.islower():
+        axes, named = axes[::-1], named[::-1]
+    (of_space, node, of_body), (first, _, last) = axes, named
+    np.testing.assert_allclose(of_space, so3.rotate(so3.conjugate(Q), first), rtol=0, atol=8 * EPS)
+    np.testing.assert_array_equal(of_body, np.broadcast_to(last, of_body.shape))
+    for other, size in ((of_space, 0.0), (of_body, 0.0), (node, 1.0)):
+        np.testing.assert_allclose(np.sum(node * other, axis=1), size, rtol=0, atol=8 * EPS)
+
+
+@pytest.mark.parametrize('sequence', ALL)
 def test_rates_are_the_time_derivative_of_the_angles_and_undone_by_their_inverse(sequence):
     h = 1e-4
     angles = euler.from_quaternion(Q, sequence)
