@@ -40,7 +40,8 @@ SCRIPT = """
 import rigid_body_ros
 from rigid_body_ros.engine.binding import LANES
 from rigid_body_ros import (
-    Actuator, BodyLog, GravityGradient, Problem, RigidBody, State, TorqueLog, UniformField)
+    Actuator, BodyLog, euler, GravityGradient, Problem, RigidBody, so3, State, TorqueLog,
+    UniformField)
 body = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 problem = Problem(body, State(
     0, angular_velocity=(0.5, -0.7, 0.9), rotor_momentum=(0.1, 0.0, 0.2)), TorqueLog(
@@ -49,9 +50,13 @@ problem = Problem(body, State(
     changes=BodyLog([2 * 10 ** 7], [RigidBody(0.7 * body.inertia)], 'momentum'))
 found = problem.derivatives(['inertia', 'torque_gains', 'torque_delay', 'torque_lag', 'start',
                              'weight.moment'], at=[3 * 10 ** 7])
+angles = [[0.3, 1.2, -0.4], [5.0, -1e-9, 2.0], [1e6, 3.0, 1e-300]]
+turned = [so3.exp(angles), so3.log(so3.exp(angles))]
+for sequence in ('ZXZ', 'xyz'):
+    turned += [euler.to_quaternion(angles, sequence), euler.rates(angles, angles[::-1], sequence)]
 print(rigid_body_ros.build_info())
 print(LANES)
-print(*(x.hex() for each in found[1:] for x in each.ravel().tolist()))
+print(*(x.hex() for each in [*found[1:], *turned] for x in each.ravel().tolist()))
 """
 #: The instruction levels of the module; tests skip levels that this processor does not support.
 LEVELS = [pytest.param(level, marks=pytest.mark.skipif(
@@ -66,18 +71,18 @@ def run(script, cwd='/', **environment):
 
 @pytest.fixture(scope='module')
 def chosen():
-    """Return what the script prints at the level that is chosen: build, lanes, derivatives."""
+    """Return what the script prints at the level that is chosen: build, lanes, results."""
     return run(SCRIPT, RIGID_BODY_ROS_KERNELS='').stdout.splitlines()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('level', [*LEVELS, 'python'])
-def test_every_level_and_plain_python_give_derivatives_the_same_bits_and_are_named(level, chosen):
+def test_every_level_and_plain_python_give_the_same_bits_and_are_named(level, chosen):
     # `test_vectors.py` compares motions.
     result = run(SCRIPT, RIGID_BODY_ROS_KERNELS=level)
     assert result.stderr == ''
-    build, lanes, derivatives = result.stdout.splitlines()
-    assert derivatives == chosen[2]
+    build, lanes, results = result.stdout.splitlines()
+    assert results == chosen[2]
     assert build == str({**build_info(), 'level': level})
     expected = {'x86-64-v4': 8, 'x86-64-v3': 4, 'x86-64-v2': 4, 'aarch64': 4, 'python': 1}
     assert int(lanes) == expected[level]
