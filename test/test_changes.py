@@ -98,6 +98,13 @@ def test_a_body_from_before_the_start_starts():
     assert_array_equal(numbers(propagator.at(int(at[5]))), expected[5])
 
 
+def test_a_body_that_is_too_old_is_dropped():
+    propagator = Propagator(BODY, START, history=0.5)
+    propagator.apply(2 * SECOND, (0.0, 0.0, 0.1))
+    assert not propagator.apply_body(SECOND + SECOND // 2, SMALLER)
+    assert propagator.apply_body(SECOND + SECOND // 2 + 1, SMALLER)
+
+
 def recorded(path, torques, inertias):
     """Write a recording with torques (stamp, torque) and inertias (stamp, entries)."""
     with recording.Writer(path) as writer:

@@ -279,12 +279,14 @@ def edit(path, old, new):
 @pytest.mark.parametrize(('change', 'more', 'message'), [
     (lambda inputs: edit(inputs / 'vary.yaml', 'torque_gain', 'torque_gian'), (),
      'vary.yaml: torque_gian: unknown key; did you mean torque_gain?'),
+    (lambda inputs: edit(inputs / 'vary.yaml', '0.001', '0.001, relative: true'), (),
+     'vary.yaml: clock_offset: relative: expected a nominal value other than 0'),
     (lambda inputs: (inputs / 'vary.yaml').unlink(), (), 'vary.yaml: cannot read the dispersions'),
     (lambda inputs: (inputs / 'out').write_text('precious'), (), 'out: expected a new folder'),
     (lambda inputs: (inputs / 'in.csv').unlink(), (), 'in.csv'),
     (lambda inputs: None, ('--times', '1e9'), '--times: expected at most 2097152 states in a run, '
      'found 1e+09 Hz over 1.95 s'),
-], ids=['key', 'vary', 'file', 'recording', 'times'])
+], ids=['key', 'relative', 'vary', 'file', 'recording', 'times'])
 def test_bad_input_is_one_line(inputs, refusal, change, more, message):
     change(inputs)
     assert message in refusal('attitude_ensemble', *arguments(inputs, 'out', 10, *more))

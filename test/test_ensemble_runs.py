@@ -18,12 +18,14 @@ from dataclasses import replace
 
 from conftest import SECOND
 import numpy as np
+from parts import BODY, FREE, START
 import pytest
-from rigid_body_ros import State, TorqueLog
+from rigid_body_ros import Problem, State, TorqueLog
 from rigid_body_ros.ensemble import applied
 from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.scene import InputError, Scene
 
 TIMES = np.arange(20) * SECOND // 10
@@ -123,6 +125,15 @@ def motion_of(row, logs, wheels, values, own=None):
         logs.append(TorqueLog(times, np.outer(np.ones(len(times)), [row['torque_bias.x'], 0, 0])))
     logs, wheels = own or (logs, wheels)
     return problem.replaced(start=start, log=logs, wheels=wheels).propagate(at=SEEN)
+
+
+def test_the_speeds_of_wheels_at_the_start_are_kept_where_the_start_varies():
+    start = replace(START, wheel_speeds=(50.0, -20.0, 0.0, 70.0))
+    problem = Problem(BODY, start, wheels=FREE)
+    runs = Ensemble(problem, SECOND, (Dispersion('inertia.ixx', 'normal', (0.0,)),), 1).rows(0, 1)
+    assert [runs[f'attitude.{axis}'][0] for axis in 'xyzw'] == problem.propagate(
+        at=[SECOND]).attitude[0].tolist()
+    assert last_digit_effect(problem, [SECOND]) < 1e-13
 
 
 @pytest.mark.parametrize('vary', [VARY[:3], VARY], ids=['shared', 'own'])

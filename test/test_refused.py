@@ -75,6 +75,7 @@ REFUSED = {
          r'inertia of at most 1e\+09 1/s, found .*e\+\d\d 1/s$')],
     RigidBody.from_point_masses: [
         ([[1.0, -1.0], np.eye(3)[:2]], '.*greater than zero'),
+        ([[1.0, 0.0, 1.0], np.eye(3)], '.*greater than zero'),
         ([[], np.zeros((0, 3))], '.*greater than zero'), ([[1.0], np.eye(3)], '.*shape'),
         ([[1.0, 1.0], [[0, 0, 0], [0, 0, 1]]], '.*positive definite'),
         ([[1.0], [[1.0, 2.0, 3.0]]], '.*on one line'),

@@ -275,7 +275,7 @@ def test_a_file_that_is_not_a_scene_is_rejected_by_name(tmp_path, text, message)
 FOREIGN = (
     'rate', 'update_rate', 'controller.kp', 'publish_frequency', 'model', 'steps', 'base_frame',
     'world_frame', 'max_speed', 'xy_goal_tolerance', 'initial_altitude', 'stop_time',
-    'use_tf_static', 'body.inertia.ixx')
+    'use_tf_static', 'node', 'body.inertia.ixx')
 SHARED = """\
 /**:
   ros__parameters:
