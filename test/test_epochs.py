@@ -375,7 +375,8 @@ OTHER = f'expected the epoch that begins at .* ns, with the same start state as 
     (started(WHEELS, SECOND_START, replace(SECOND_START, time_ns=SECOND)), TOPICS,
      f'log.mcap: {WHEELS}: {OTHER}'),
     (started(ACCEPTED, FIRST, with_rotors(FIRST)), TOPICS, f'log.mcap: {ACCEPTED_1}: {OTHER}')],
-    ids=range(12))
+    ids=['late marker', 'short marker', 'text', 'nan', 'marker with a torque', 'long marker',
+         'frame', 'no epochs', 'momentum', 'rates', 'stamp', 'rotors'])
 def test_what_is_no_log_of_epochs_is_refused(run, wheeled, tmp_path, sent, options, message):
     run = wheeled if options else run
     log = save(tmp_path / 'log.mcap', sent(run))

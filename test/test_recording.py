@@ -14,7 +14,9 @@
 
 """Recordings: we read files of other tools, other tools read ours, and damage is reported."""
 
+from functools import partial
 import itertools
+import os
 import re
 import sys
 
@@ -207,6 +209,17 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, count):
                                          match='full.mcap: cannot write: File too large'):
         write_torques(tmp_path / 'full.mcap', ((1, '', torque) for torque in torques))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_at_the_last_byte_leaves_all_torques_under_another_name(tmp_path):
+    rows = [(stamp, '', torque) for stamp, torque in zip(STAMPS, TORQUES)]
+    size = os.path.getsize(write_torques(tmp_path / 'whole.mcap', rows))
+    with files_up_to(size - 1), pytest.raises(InputError, match=(
+            'motion.mcap: cannot write: File too large; what was written so far is in .*/motion')):
+        write_torques(tmp_path / 'motion.mcap', rows,
+                      kind=partial(recording.Writer, keep_partial=True))
+    assert {path.name for path in tmp_path.iterdir()} == {'whole.mcap', 'motion.partial.mcap'}
+    assert torque_log(tmp_path / 'motion.partial.mcap').torques.tobytes() == TORQUES.tobytes()
 
 
 def channels(path, *channels, encoding='cdr'):

@@ -160,6 +160,7 @@ def changed(values: object) -> float:
     ('return x in (x, y)', 'Compare is not in the subset'),
     ('return x is y', 'expected a comparison with None: x is y'),
     ('return print(x)', 'expected a kernel, a number, numbers or an array: print'),
+    ('return math.exp(x)', 'expected a kernel, a number, numbers or an array: math.exp'),
     ('return x.hex()', 'Call is not in the subset of Python for kernels: x.hex()'),
     ('return max(x, y, key=abs)', 'Call is not in the subset'),
     ('return x < abs(y) < 2.0', 'expected no call in the middle of a comparison'),
