@@ -355,7 +355,7 @@ def test_covariances_of_rates_are_converted_with_the_rates(tmp_path, frame):
     (tmp_path / 'scene.yaml').write_text(LINKS)
     found = read_measured(write(tmp_path / 'it.mcap', it=messages), '/it',
                           links=load(tmp_path / 'scene.yaml').links)
-    np.testing.assert_allclose(found.rate_covariance - expected, 0.0, atol=1e-14)
+    np.testing.assert_allclose(found.rate_covariance - expected, 0.0, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize(('kind', 'attitude'), [
@@ -610,7 +610,7 @@ def test_headings_of_other_programs_are_known(tmp_path, heading, values):
         assert found.stamps_ns.tolist() == STAMPS.tolist()
         assert found.account.notes == []
         if values is WXYZ or values is ATTITUDE:
-            np.testing.assert_allclose(found.attitude, ATTITUDE, atol=1e-15)
+            np.testing.assert_allclose(found.attitude, ATTITUDE, rtol=0, atol=1e-15)
         else:
             np.testing.assert_allclose(found.angular_velocity, RATES, rtol=1e-14)
 

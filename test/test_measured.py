@@ -79,7 +79,7 @@ def test_every_type_is_read(tmp_path, measured, kind):
     if kind == 'Vector3Stamped':
         assert found.attitude is None
     else:
-        np.testing.assert_allclose(found.attitude, measured.attitude, atol=1e-15)
+        np.testing.assert_allclose(found.attitude, measured.attitude, rtol=0, atol=1e-15)
     if kind in ATTITUDES:
         assert found.angular_velocity is None
     else:
@@ -93,7 +93,7 @@ def test_covariances_are_read_in_body_axes(tmp_path, measured, kind):
     if kind == 'Odometry':  # its covariance of the pose is in space axes
         turn = so3.matrix(measured.attitude)
         expected = turn.transpose(0, 2, 1) @ KNOWN @ turn
-    np.testing.assert_allclose(found.attitude_covariance, expected, atol=1e-18)
+    np.testing.assert_allclose(found.attitude_covariance, expected, rtol=0, atol=1e-18)
     np.testing.assert_array_equal(found.rate_covariance, np.broadcast_to(KNOWN, (2000, 3, 3)))
     found = read_measured(only(tmp_path, kind, measured), '/it')  # zeros are unknown
     assert (found.attitude_covariance, found.rate_covariance) == (None, None)

@@ -322,7 +322,8 @@ def test_a_torque_acts_from_its_delay_on_until_it_times_out():
     for seconds in expected:
         torque = live.run.snapshot(ns(seconds), math.inf).torque
         np.testing.assert_allclose(torque, [0.01 * (0 in expected[seconds]),
-                                            0.01 * (1 in expected[seconds]), 0.0], atol=1e-17)
+                                            0.01 * (1 in expected[seconds]), 0.0], rtol=0,
+                                            atol=1e-17)
 
 
 def test_what_the_imu_measures_is_older_by_its_delay():

@@ -133,7 +133,7 @@ def test_attitudes_and_rates_in_any_order_with_other_columns(tmp_path):
         TURNS[::-1, 3], RATES[::-1], TURNS[::-1, :3], np.ones(10)))
     assert found.topic == 'log.csv'
     np.testing.assert_array_equal(found.stamps_ns, STAMPS)
-    np.testing.assert_allclose(found.attitude, TURNS, atol=1e-15)
+    np.testing.assert_allclose(found.attitude, TURNS, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(found.angular_velocity, RATES)
 
 
@@ -141,7 +141,7 @@ def test_a_trajectory(tmp_path):
     found = read_measured(table(tmp_path / 'poses.tum', '# timestamp tx ty tz qx qy qz qw',
                                 seconds(STAMPS), np.ones((10, 3)), TURNS, separator=' '))
     np.testing.assert_array_equal(found.stamps_ns, STAMPS)
-    np.testing.assert_allclose(found.attitude, TURNS, atol=1e-15)
+    np.testing.assert_allclose(found.attitude, TURNS, rtol=0, atol=1e-15)
     assert found.angular_velocity is None
 
 
