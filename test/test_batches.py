@@ -14,12 +14,13 @@
 
 """A replay piece by piece has the same bits as in one piece."""
 
+from itertools import pairwise
 import re
 
 from conftest import at_night, CONFIG, EPOCH_NS, RECORDINGS, SECOND, write_torques
 import numpy as np
 import pytest
-from rigid_body_ros import messages, recording, scene
+from rigid_body_ros import messages, recording, scene, TorqueLog
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import batches, replay
 from rigid_body_ros.scene import InputError
@@ -58,10 +59,37 @@ def written(path, order, torques=None, frames=('',)):
         for place, row in enumerate(order)])
 
 
+def test_pieces_are_those_of_the_sorted_log(monkeypatch):
+    monkeypatch.setattr(torques, '_SAMPLES', 50)
+    random, count = np.random.default_rng(6), 1000
+    rows = np.arange(count).reshape(-1, 40)
+    stamps = EPOCH_NS + random.permuted(
+        np.cumsum(random.integers(0, 3, count))[rows], axis=1).ravel()
+    late = [200 + int(stamps[200:240].argmin()), 270]  # one comes a block too late
+    stamps[late] = stamps[late[::-1]]
+    values, frames = random.normal(size=(count, 6)), random.integers(0, 2, count)
+    pieces = [*torques.torque_pieces('here', [recording.Messages(
+        '/torque', stamps[block], frames[block], ['', 'world'], values[block])
+        for block in rows], 'base_link', 'world')]
+    parts = [pieces[0].rows(slice(pieces[0].stop))]
+    for before, piece in pairwise(pieces):
+        # A piece ends three samples after `stop`, and the next begins three samples before.
+        assert 50 <= before.stop == len(before.times_ns) - 4
+        np.testing.assert_array_equal(piece.times_ns[:7], before.times_ns[-7:])
+        parts.append(piece.rows(slice(3, piece.stop)))
+    assert len(parts) > 5
+    whole = TorqueLog(stamps, values[:, 3:], frames == 1)
+    for name in ('times_ns', 'torques', 'in_space'):
+        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]),
+                                      getattr(whole, name))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('kind', ['far', 'descending', 'any'])
 def test_stamps_out_of_order_are_put_in_order_and_told(tmp_path, monkeypatch, kind):
     monkeypatch.setattr(torques, '_SAMPLES', 100)
+    if kind == 'far':  # some stamps come many blocks too late
+        monkeypatch.setattr(writer, '_CHUNK', 2 ** 12)  # what is read at a time
     count, random = 8_000, np.random.default_rng(6)
     rows = np.arange(count) if kind != 'any' else np.sort(random.integers(0, count, count))
     blocks = rows.reshape(-1, 40)  # with 'any', some stamps are equal
