@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import messages, recording, scene, TorqueLog
 from rigid_body_ros.recording import torques, writer
-from rigid_body_ros.replay import batches, replay
+from rigid_body_ros.replay import batches, replay, single
 from rigid_body_ros.scene import InputError
 
 FIELDS = {'fields': ['pivot'], 'pivot.moment.z': -0.02, 'pivot.field.z': -9.81,
@@ -42,6 +42,7 @@ def test_a_recording_in_pieces_gives_the_bits_of_the_whole(tmp_path, monkeypatch
     whole = replay(RECORDINGS / 'tumbler.mcap', loaded, interpolation=interpolation, **options)
     monkeypatch.setattr(torques, '_SAMPLES', 100)
     monkeypatch.setattr(batches, '_LARGEST', 70)
+    monkeypatch.delattr(single, '_whole')  # which would read the whole recording
     result = replay(RECORDINGS / 'tumbler.mcap', loaded, tmp_path / 'out.mcap',
                     interpolation=interpolation, **options)
     written = recording.read(tmp_path / 'out.mcap', '/attitude', messages.QUATERNION)
