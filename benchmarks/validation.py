@@ -30,7 +30,7 @@ from extremes import number
 from tables import header, row, write_into
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / 'test'))
-from published import DataNotHereError, ROWS  # noqa: E402
+from published import DataNotHereError, ROWS  # noqa: E402, I100
 
 #: For each source: its heading and the remarks.
 TEXTS = {

@@ -38,7 +38,7 @@ BEGAN = time.monotonic()
 
 def main() -> None:
     OUTPUT.mkdir(exist_ok=True)
-    say('replay eight hours of the Space Station, and compare with NASA\'s states')
+    say("replay eight hours of the Space Station, and compare with NASA's states")
     scene = '--scene', CONFIG / 'iss.yaml'
     run('attitude_replay', STATION, *scene, '-o', OUTPUT / 'iss.mcap', '--plot',
         OUTPUT / 'iss.png', '--overwrite')

@@ -126,8 +126,8 @@ def test_a_check_says_what_beginning_of_the_motion_it_covers(tmp_path, monkeypat
 
 
 @pytest.mark.parametrize(('offset_ns', 'rate'), [(0, 3.0), (SECOND // 2, None)])
-def test_a_piece_may_have_no_output_and_the_motion_may_begin_after_the_first(tmp_path, monkeypatch,
-                                                                            offset_ns, rate):
+def test_a_piece_may_have_no_output_and_the_motion_may_begin_after_the_first(
+        tmp_path, monkeypatch, offset_ns, rate):
     monkeypatch.setattr(torques, '_SAMPLES', 100)
     monkeypatch.setattr(writer, '_CHUNK', 2 ** 12)  # what is read at a time
     path = written(tmp_path / 'in.mcap', range(1000),

@@ -351,5 +351,3 @@ def test_what_a_propeller_carries_or_hangs_from_is_rejected():
 def test_the_axes_of_a_propeller_are_not_those_of_the_body_although_they_may_be_aligned():
     frames = urdf.fixed_frames(robot(('continuous', 'base_link', 'hub', '0 0 1', '0 0 0')))
     assert frames.of_body('hub') is frames['base_link']
-
-

@@ -134,5 +134,3 @@ def test_what_rounding_took_from_the_start_counts():
         rates = [mp.mpf(a) + mp.mpf(b) for a, b in zip((1.0, 0.4, 2.0), low.tolist())]
         q, _ = truth.free(ASYMMETRIC.tolist(), [0.0, 0.0, 0.0, 1.0], rates, span_ns)
     assert truth.chord(q, motion.attitude[0].tolist()) < 2e-15
-
-

@@ -100,7 +100,7 @@ class Case:
 
     @property
     def truth(self):
-        """The true values of the components that are estimated."""
+        """Return the true values of the components that are estimated."""
         found = inertia_truth(self.motion.get('inertia', INERTIA)) \
             if 'inertia' in self.estimate.split() else {}
         for name, value in self.values.items():

@@ -119,12 +119,12 @@ def readable(path):
     topics, found = {}, []
     with open(path, 'rb') as stream:
         try:
-            for record in StreamReader(stream, validate_crcs=True).records:
-                if isinstance(record, Channel):
-                    topics[record.id] = record.topic
-                elif isinstance(record, Message):
-                    found.append((topics[record.channel_id], record.sequence, record.log_time,
-                                  record.publish_time, record.data))
+            for one in StreamReader(stream, validate_crcs=True).records:
+                if isinstance(one, Channel):
+                    topics[one.id] = one.topic
+                elif isinstance(one, Message):
+                    found.append((topics[one.channel_id], one.sequence, one.log_time,
+                                  one.publish_time, one.data))
         except (EndOfFile, struct.error):  # struct.error if it breaks off within a number
             pass
     return found

@@ -181,7 +181,7 @@ def test_an_estimator_publishes_what_it_published(path, tmp_path, capsys, refuse
     recorded, other = AllMessages(path), tmp_path / 'other.mcap'
     recorded.topics['/odometry'].schema.name = 'absent_msgs/msg/Odometry'
     recorded.write(other, {})
-    assert AllMessages(other).topics['/odometry'].type == 'absent_msgs/msg/Odometry'
+    assert AllMessages(other).topics['/odometry'].type_name == 'absent_msgs/msg/Odometry'
     assert run(other, '--json', tmp_path / 'result.json', '--report', tmp_path / 'page.html') == 0
     assert result_of(tmp_path) == {
         'equal': True, 'inputs': {'/torque': COUNT},

@@ -166,5 +166,3 @@ def test_rotors_with_one_measured_momentum_keep_theirs(count):
     wheels = TorqueLog.from_momentum(TIMES[:count], TORQUES[:count])
     assert len(wheels) == count
     assert not wheels.torques.any()
-
-

@@ -142,7 +142,7 @@ class OpenLoopNode(Observer):
         outputs = {topic for topic, *_ in published} - _OTHERS
         inputs = {topic for topic, *_ in subscribed} - _OTHERS - outputs
         for topic, name, found in sorted(subscribed | published):
-            if topic != _CLOCK and found != (recorded := self._recorded.topics[topic].type):
+            if topic != _CLOCK and found != (recorded := self._recorded.topics[topic].type_name):
                 raise InputError(f'{topic}: expected {recorded or "no type"} as in the recording, '
                                  f'found that {name} uses {found}')
         for topic in sorted(outputs):
@@ -171,7 +171,7 @@ class OpenLoopNode(Observer):
         self._next = next(self._groups)
 
     def _type(self, topic: str) -> Any:
-        return message_type(topic, self._recorded.topics[topic].type)
+        return message_type(topic, self._recorded.topics[topic].type_name)
 
     def _publisher(self, topic: str, kind: Any) -> Publisher[Any]:
         return self._observer.create_publisher(

@@ -39,7 +39,7 @@ class Topic(NamedTuple):
     data: Sequence[bytes]
 
     @property
-    def type(self) -> str:
+    def type_name(self) -> str:
         """Return the name of the message type; '' if it is not recorded."""
         return full_name(self.schema.name) if self.schema else ''
 

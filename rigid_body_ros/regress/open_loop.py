@@ -133,7 +133,7 @@ class OpenLoop:
                 key=lambda change: change.stamp_ns, default=None))
 
     def _differences(self, topic: str, expected: Series, found: Series) -> Iterator[Difference]:
-        kind = self.recorded.topics[topic].type
+        kind = self.recorded.topics[topic].type_name
         for number, (before, after) in enumerate(zip_longest(expected, found)):
             if before is None or after is None:
                 time_ns, data = before or after
