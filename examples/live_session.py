@@ -57,6 +57,8 @@ _PROGRAM = (sys.executable, '-c',
             'import sys; from rigid_body_ros.commands import main; sys.exit(main.attitude_node())')
 #: Long, because a busy machine takes long to start a process.
 _PATIENCE_S = 60.0
+#: s; a service that does not respond for so long is called again.
+_RETRY_S = 15.0
 
 
 class LiveSession:
@@ -249,9 +251,15 @@ class LiveSession:
         client = self.node.create_client(kind, f'/{NODE}/{name}')
         try:
             self.wait_until(client.service_is_ready, f'the service {name}')
-            future = client.call_async(kind.Request(**fields))
-            self.wait_until(future.done, 'a response')
-            return future.result()
+            began, futures = time.monotonic(), []
+
+            def is_answered():
+                # A response is lost if the node has not found the client after 0.1 s; ask again.
+                if time.monotonic() >= began + _RETRY_S * len(futures):
+                    futures.append(client.call_async(kind.Request(**fields)))
+                return any(future.done() for future in futures)
+            self.wait_until(is_answered, 'a response')
+            return next(future.result() for future in futures if future.done())
         finally:
             self.node.destroy_client(client)
 
