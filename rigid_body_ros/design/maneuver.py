@@ -118,6 +118,7 @@ class Maneuvers:
 
     @cached_property
     def _initial_momentum(self) -> Floats:
+        # In space axes; a motion of one row has no torques.
         at_rest = self.flown(np.zeros((1, 3)))
         return at_rest.propagate(at=self.times_ns[:1]).angular_momentum_space
 

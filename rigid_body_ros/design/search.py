@@ -28,6 +28,7 @@ from rigid_body_ros.design.information import Expected, Instrument, Question
 from rigid_body_ros.design.maneuver import ANGLE, commands_of, FINE, Maneuvers
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording.text_files import csv_lines
 from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, Writer
 from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel, RATES, TORQUES
@@ -50,8 +51,8 @@ _DRAWS = 3
 _TORQUE_HZ, _SENSOR_HZ, _SAMPLES = 20.0, 5.0, 20.0
 #: A limit is named as one that limits the maneuver if its load is above this number.
 _ACTIVE = 0.98
-#: The heading of a CSV file.
-_HEADING = 'time_ns,tx (Nm),ty (Nm),tz (Nm),qx,qy,qz,qw,wx (rad/s),wy (rad/s),wz (rad/s)'
+#: The first line of a CSV file.
+_HEADING = 'time_ns,tx (Nm),ty (Nm),tz (Nm),qx,qy,qz,qw,wx (rad/s),wy (rad/s),wz (rad/s)\n'
 
 
 def design(maneuvers: Maneuvers, question: Question, track: Track = no_progress) -> Design:
@@ -226,10 +227,8 @@ class Design:
         motion, wheels = self.flown.propagate(at=times_ns), self.flown.named_wheels
         if path.lower().endswith('.csv'):
             values = np.hstack([commands, motion.attitude, motion.angular_velocity])
-            rows = (','.join(map(repr, [time_ns, *row]))
-                    for time_ns, row in zip(times_ns.tolist(), values.tolist()))
             with files.atomic_output(path, '.csv') as part:
-                part.write_text('\n'.join([_HEADING, *rows, '']), encoding='ascii')
+                part.write_text(''.join([_HEADING, *csv_lines(times_ns, values)]), 'ascii')
             return
         topic, kind, values = (
             '/wheel_command', messages.joint_states(wheels.names),

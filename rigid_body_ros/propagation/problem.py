@@ -141,8 +141,8 @@ class Problem(MotionInputs):
         if found := ', '.join(wheel.name for wheel in wheels.wheels if wheel.friction):
             raise ValueError('wheels: expected none with friction, which only a propagation '
                              f'computes, found {found}')
-        unlimited = wheels if not wheels.is_limited else Wheels(
-            [replace(wheel, max_speed=0.0) for wheel in wheels.wheels])
+        unlimited = Wheels([replace(wheel, max_speed=0.0) for wheel in wheels.wheels]) \
+            if wheels.is_limited else wheels
         start, _ = unlimited.begun(self.start)
         carrier = unlimited.carrier
         end_ns = int(self.efforts.times_ns.max(initial=self.start.time_ns)) if self.efforts \

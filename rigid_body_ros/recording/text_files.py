@@ -12,7 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read torques, attitudes and angular velocities from CSV files and TUM trajectories."""
+"""
+Read torques, attitudes and angular velocities from CSV files and TUM trajectories.
+
+`csv_lines` formats the rows of a CSV file so that these readers get the same bits back.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.errors import InputError, listed, quoted, reason
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
@@ -107,6 +111,12 @@ _TRAJECTORY = 8, {'time': TableColumn(0, Decimal(10 ** 9)),
                   **{name: TableColumn(4 + k, 1.0) for k, name in enumerate(ATTITUDE)}}
 _TORQUES = 4, {name: TableColumn(k, Decimal(1) if k else None) for k, name in enumerate(
     ('time', *TORQUE))}
+
+
+def csv_lines(times_ns: Ints, values: Floats) -> Iterator[str]:
+    """Generate the lines of a CSV file: a time, ns, and the values, shape (n, k), of each row."""
+    line = '%d' + ',%r' * values.shape[1] + '\n'
+    return map(line.__mod__, zip(times_ns.tolist(), *values.T.tolist()))
 
 
 def is_text_file(name: str) -> bool:

@@ -29,6 +29,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagation import Trajectory
+from rigid_body_ros.recording.text_files import csv_lines
 from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column
 from rigid_body_ros.replay import markers
 from rigid_body_ros.replay.batches import Batch, IMU, INPUT, MARKERS, Request, TF
@@ -116,9 +117,7 @@ def _write_lines(text: TextIO, scene: Scene, motion: Trajectory) -> None:
     columns = _columns(scene, motion)
     if not text.tell():
         text.write(f'{",".join(["time_ns", *columns])}\n')
-    values = np.hstack([*columns.values()])
-    line = '%d' + ',%r' * values.shape[1] + '\n'
-    text.writelines(map(line.__mod__, zip(motion.times_ns.tolist(), *values.T.tolist())))
+    text.writelines(csv_lines(motion.times_ns, np.hstack([*columns.values()])))
 
 
 def _columns(scene: Scene, motion: Trajectory) -> dict[str, Floats]:
