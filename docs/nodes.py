@@ -150,7 +150,7 @@ CAUSES = {
     'unknown frame': 'The frame is neither empty nor the body frame (`frame_prefix` followed by '
                      '`body_frame`), the space frame, or [an allowed '
                      'link](node_howto.md#forces-and-frames). For `wheel_torque` and `inertia`, '
-                     'it must be empty or the body frame.',
+                     'it must be empty or the body frame; `wheel_command` allows any.',
     'not finite': 'A component of the torque is NaN or infinite.',
     'too large': 'The torque or effort is above 1e9 rad/s^2 times the smallest principal moment '
                  'of the body in the scene.',
