@@ -189,7 +189,7 @@ ros2 run rigid_body_ros attitude_node --ros-args --params-file config/tumbler.ya
 Names without a leading slash are relative to the namespace, and can be remapped
 (`-r torque:=/wrench`). Where a topic lists no quality of service (QoS), the QoS is
 {state}. You can [override
-it](robot_stack.md#how-do-i-change-the-quality-of-service). Two have names:
+it](robot_stack.md#how-do-i-change-the-quality-of-service). The lists abbreviate two others:
 
 - *torque*: {torque}
 - *log*: {log}
