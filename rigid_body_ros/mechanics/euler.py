@@ -271,6 +271,7 @@ def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ')
     theta = 0) or their difference (near theta = pi) stays moderate. Exactly at gimbal lock, this
     sum or difference is split evenly between phi' and psi'. The component of the angular velocity
     perpendicular to all three rotation axes is then ignored, because no finite rates produce it.
+    Of the doubles, only theta = 0 is exactly there; the rounded pi / 2 and pi are near it.
 
     Parameters
     ----------

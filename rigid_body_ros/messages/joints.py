@@ -164,9 +164,9 @@ def joint_values(velocities: Floats, efforts: Floats) -> Floats:
     Returns
     -------
     array, shape (n, 2 k + 1)
-        Each row has the velocities, one column for the encoding, and the efforts. In the message,
-        the length of the list of efforts lies between both lists, and fills as many bytes as a
-        double. The middle column has these bytes; its value as a number has no meaning.
+        Each row has the velocities, one column for the encoding, and the efforts. In a message,
+        the length of the list of efforts and its padding lie between both lists, and fill as many
+        bytes as a double. The middle column has these bytes, and has no meaning as a number.
 
     """
     rows, joints = velocities.shape
